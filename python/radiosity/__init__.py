@@ -1,0 +1,44 @@
+"""Diffuse light and heat between the surfaces of a 3-D scene.
+
+    import radiosity as rad
+
+    scene = rad.load("room.glb")
+    solution = rad.solve(scene, tolerance=0.01)
+    image = rad.render(solution, rad.Camera((0, -4, 1.5), (0, 0, 1.2)))
+    rad.save_image("room.png", image)
+
+Conventions: F[i, j] is the fraction of what leaves patch i that reaches patch j (row = emitter). B = E + rho H with
+radiosity B, emission E and irradiance H in W/m^2; a diffuse radiance is B / pi. Lengths are metres. Surfaces are
+one-sided, counter-clockwise seen from the front.
+"""
+
+from importlib.metadata import version as _version
+
+from . import mitsuba, scenes
+from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
+from .load import load
+from .render import Camera, render, save_image
+from .scene import Scene
+from .solution import ConvergenceError, Solution
+from .solve import ambient, solve, solve_system
+
+__version__ = _version("radiosity")
+
+__all__ = [
+    "Camera",
+    "ConvergenceError",
+    "FormFactors",
+    "Scene",
+    "Solution",
+    "ambient",
+    "form_factor",
+    "form_factors",
+    "load",
+    "mitsuba",
+    "pair_form_factors",
+    "render",
+    "save_image",
+    "scenes",
+    "solve",
+    "solve_system",
+]

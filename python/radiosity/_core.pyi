@@ -1,0 +1,109 @@
+from collections.abc import Callable
+from typing import Any, TypedDict, final
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["FormFactors", "Scene", "ambient", "form_factor", "pair_form_factors", "render", "solve"]
+
+_Floats = npt.NDArray[np.float64]
+_Ints = npt.NDArray[np.int64]
+_Report = Callable[[int, int], object]
+_Point = tuple[float, float, float]
+
+class _Solved(TypedDict):
+    radiosity: _Floats
+    irradiance: _Floats
+    standard_error: _Floats | None
+    residuals: _Floats
+    unshot: _Floats
+    residual: float
+    error_estimate: float
+    audit: list[_Floats] | None
+    failure: str | None
+
+@final
+class Scene:
+    def __new__(
+        cls, vertices: _Floats, faces: _Ints, reflectance: _Floats, emission: _Floats, both_sides: bool
+    ) -> Scene: ...
+    @property
+    def vertices(self) -> _Floats: ...
+    @property
+    def faces(self) -> _Ints: ...
+    @property
+    def reflectance(self) -> _Floats: ...
+    @property
+    def emission(self) -> _Floats: ...
+    @property
+    def areas(self) -> _Floats: ...
+    @property
+    def normals(self) -> _Floats: ...
+    def subdivide(self, max_edge: float) -> tuple[Scene, _Ints]: ...
+    def intersect(
+        self, origins: _Floats, directions: _Floats, threads: int | None
+    ) -> tuple[_Ints, _Floats, _Floats]: ...
+    def occluded(self, p: _Floats, q: _Floats, threads: int | None) -> npt.NDArray[np.bool_]: ...
+
+@final
+class FormFactors:
+    @staticmethod
+    def dense(
+        scene: Scene, tolerance: float, seed: int, memory: int, threads: int | None, progress: _Report | None
+    ) -> FormFactors: ...
+    @staticmethod
+    def from_array(array: _Floats) -> FormFactors: ...
+    @staticmethod
+    def from_csr(start: _Ints, index: _Ints, value: _Floats) -> FormFactors: ...
+    @staticmethod
+    def dense_forecast(n: int) -> int: ...
+    @property
+    def n(self) -> int: ...
+    @property
+    def nbytes(self) -> int: ...
+    @property
+    def error_estimate(self) -> float: ...
+    @property
+    def segments(self) -> int: ...
+    @property
+    def areas(self) -> _Floats | None: ...
+    @property
+    def row_sums(self) -> _Floats: ...
+    @property
+    def remainder(self) -> _Floats: ...
+    def reciprocity_error(self) -> float | None: ...
+    def apply(self, x: _Floats) -> _Floats: ...
+    def row(self, i: int) -> _Floats: ...
+    def toarray(self) -> _Floats: ...
+
+def form_factor(polygon_a: _Floats, polygon_b: _Floats, tolerance: float) -> float: ...
+def pair_form_factors(
+    a: _Floats, b: _Floats, tolerance: float, threads: int | None, progress: _Report | None
+) -> _Floats: ...
+def solve(
+    form_factors: FormFactors,
+    emission: _Floats,
+    reflectance: _Floats,
+    method: str,
+    tolerance: float,
+    max_iterations: int | None,
+    memory: int,
+    on_iteration: Callable[[int, _Floats, _Floats], Any] | None,
+    threads: int | None,
+    progress: _Report | None,
+) -> _Solved: ...
+def ambient(areas: _Floats, unshot: _Floats, reflectance: _Floats) -> _Floats: ...
+def render(
+    scene: Scene,
+    radiosity: _Floats,
+    irradiance: _Floats,
+    origin: _Point,
+    target: _Point,
+    up: _Point,
+    fov: float,
+    width: int,
+    height: int,
+    smooth: bool,
+    threads: int | None,
+    progress: _Report | None,
+) -> _Floats: ...

@@ -1,0 +1,184 @@
+"""Pictures: a camera, the image of a solution, and image files."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core
+from .arrays import FloatArray, real_array, shaped, thread_count
+from .progress import Progress, reporter
+from .solution import Solution
+
+SHADINGS = ("flat", "smooth")
+FORMATS = (".png", ".exr")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera.
+
+    Args:
+        origin: (3,) where it stands, m.
+        target: (3,) what it looks at, m.
+        up: (3,) the direction that is up in the picture.
+        fov: vertical field of view, degrees, in (0, 180).
+
+    Raises:
+        TypeError, ValueError: no three finite numbers, or a field of view out of range.
+    """
+
+    origin: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    fov: float = 40.0
+
+    def __post_init__(self) -> None:
+        for name in ("origin", "target", "up"):
+            point = shaped(f"camera {name}", getattr(self, name), 3)
+            if not np.isfinite(point).all():
+                raise ValueError(f"camera {name} {tuple(point.tolist())} is not finite")
+            object.__setattr__(self, name, tuple(point.tolist()))
+        if not (math.isfinite(self.fov) and 0.0 < self.fov < 180.0):
+            raise ValueError(f"camera fov {self.fov} is outside (0, 180) degrees")
+
+
+def render(
+    solution: Solution,
+    camera: Camera,
+    width: int = 512,
+    height: int = 512,
+    shading: str = "smooth",
+    threads: int | None = None,
+    progress: Progress = True,
+) -> FloatArray:
+    """The image of a solution: linear radiance, W/(m^2 sr), averaged over each pixel.
+
+    Args:
+        solution: a solution that knows its scene.
+        camera: the viewpoint.
+        width: pixels a row.
+        height: rows.
+        shading: ``"flat"``, one radiosity a patch as it was solved; ``"smooth"``, the irradiance interpolated between the
+            corners of patches that form one surface, so that neither lamps nor paints leak over their borders.
+        threads: None for all cores.
+        progress: see :mod:`radiosity.progress`.
+
+    Returns:
+        (height, width, b), row 0 on top. Backs of patches and empty space are black.
+
+    Raises:
+        ValueError: an unknown shading, an empty image, or a camera that sees nothing or only backs (it stands in a wall).
+
+    Sources:
+        Gouraud 1971; Cohen & Greenberg 1985, section 7.
+    """
+    if not isinstance(solution, Solution):
+        raise TypeError(f"solution must be a radiosity.Solution, not {type(solution).__name__}")
+    if solution.scene is None:
+        raise ValueError("this solution was made from a plain matrix and knows no geometry; solve form_factors(scene)")
+    if shading not in SHADINGS:
+        raise ValueError(f"unknown shading {shading!r}; the shadings are {SHADINGS}")
+    for name, size in (("width", width), ("height", height)):
+        if isinstance(size, bool) or not isinstance(size, (int, np.integer)):
+            raise TypeError(f"{name} must be an integer, not {type(size).__name__}")
+        if not 1 <= size <= 65536:
+            raise ValueError(f"{name} {size} is outside 1 .. 65536 pixels")
+    with reporter(progress, "render") as report:
+        return _core.render(
+            solution.scene._core,
+            solution.radiosity,
+            solution.irradiance,
+            camera.origin,
+            camera.target,
+            camera.up,
+            float(camera.fov),
+            int(width),
+            int(height),
+            shading == "smooth",
+            thread_count(threads),
+            report,
+        )
+
+
+def auto_exposure(image: FloatArray) -> float:
+    """The factor that brings the 95th percentile of the picture's non-black pixels to 0.8: lamps may burn out."""
+    brightness = np.asarray(image).max(axis=-1)
+    lit = brightness[brightness > 0]
+    return float(0.8 / np.percentile(lit, 95)) if lit.size else 1.0
+
+
+def to_srgb(image: FloatArray, exposure: float | None = None) -> npt.NDArray[np.uint8]:
+    """(h, w, b) linear radiance as 8-bit sRGB (IEC 61966-2-1), for b = 1 or 3. ``exposure`` as in :func:`save_image`."""
+    scaled = np.clip(image * (auto_exposure(image) if exposure is None else exposure), 0.0, 1.0)
+    curved = np.where(scaled <= 0.0031308, 12.92 * scaled, 1.055 * scaled ** (1.0 / 2.4) - 0.055)
+    return np.round(255.0 * curved).astype(np.uint8)
+
+
+def save_image(path: str | os.PathLike[str], image: Any, exposure: float | None = None) -> None:
+    """Writes an image to a ``.png`` (sRGB, 8 bits) or ``.exr`` (linear, float32; needs the extra ``exr``) file.
+
+    Args:
+        path: where to; the ending decides the format. An existing file is replaced only once the new one is whole.
+        image: (h, w, b) linear radiance with b = 1 (grey) or 3 (RGB).
+        exposure: PNG only: factor from radiance to display, where 1 is white; None chooses one from the picture.
+
+    Raises:
+        ValueError: an unknown ending, a wrong shape, numbers that are not finite, an exposure that is not positive.
+        OSError: the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise ValueError(f"{path}: unknown image format {path.suffix!r}; the formats are {FORMATS}")
+    pixels = real_array("image", image)
+    if pixels.ndim != 3 or 0 in pixels.shape:
+        raise ValueError(f"image must have shape (h, w, b), not {pixels.shape}")
+    if pixels.shape[2] not in (1, 3):
+        raise ValueError(f"{path}: a picture has 1 band (grey) or 3 (RGB), not {pixels.shape[2]}; choose bands to show")
+    if not np.isfinite(pixels).all():
+        raise ValueError("image holds values that are not finite")
+    if exposure is not None and not (math.isfinite(exposure) and exposure > 0.0):
+        raise ValueError(f"exposure {exposure} is not a positive number")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path.parent}: no such folder")
+    # Write beside the target and rename: a failed save leaves the old file whole.
+    handle, temporary = tempfile.mkstemp(suffix=path.suffix.lower(), dir=path.parent)
+    os.close(handle)
+    try:
+        if path.suffix.lower() == ".png":
+            _write_png(temporary, to_srgb(pixels, exposure))
+        else:
+            _write_exr(temporary, pixels)
+        # mkstemp makes files that only their owner may read; a picture gets the usual permissions.
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _write_png(path: str, pixels: npt.NDArray[np.uint8]) -> None:
+    from PIL import Image
+
+    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(path, format="PNG")
+
+
+def _write_exr(path: str, pixels: FloatArray) -> None:
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise ImportError("EXR files need the OpenEXR package: pip install radiosity[exr]") from error
+    channels = {"Y": pixels[..., 0]} if pixels.shape[2] == 1 else dict(zip("RGB", np.moveaxis(pixels, 2, 0), strict=True))
+    data = {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, data) as file:
+        file.write(path)

@@ -1,0 +1,219 @@
+"""The scene: triangular patches with reflectance and emission, frozen once built."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from . import _core
+from .arrays import FloatArray, IntArray, per_patch, read_only, shaped, thread_count, triangle_indices
+from .report import Report, report
+
+if TYPE_CHECKING:
+    import trimesh
+
+SIDES = ("front", "both")
+
+
+class Hits(NamedTuple):
+    """What m rays hit first."""
+
+    patch: IntArray
+    """(m,) patch number, -1 where nothing is hit."""
+    distance: FloatArray
+    """(m,) distance along the ray in lengths of its direction, inf where nothing is hit."""
+    barycentric: FloatArray
+    """(m, 2) weights of the patch's corners 1 and 2, nan where nothing is hit."""
+
+
+class Scene:
+    """Triangular patches, one radiosity each, with their reflectance and emission per band.
+
+    Surfaces are one-sided: the front is the side from which the corners run counter-clockwise (right-hand rule). The
+    back blocks light but neither emits nor reflects. Lengths are metres; form factors do not depend on the unit.
+
+    Args:
+        vertices: (V, 3) coordinates, m.
+        faces: (n, 3) indices of the corners of each patch.
+        reflectance: rho in [0, 1]: a scalar, (b,) one value a band, or (n, b). A 1-D array always means bands.
+        emission: self-emitted radiosity E >= 0, W/m^2, in the same shapes. It is what the surface gives off by itself
+            (a diffuse radiance of E / pi), never the light that falls on it.
+        sides: ``"front"``, or ``"both"`` to make thin sheets: every patch then gets a reversed twin, and patch i + n is
+            the back of patch i.
+        names: optional, the name of the object that each patch belongs to.
+
+    Raises:
+        TypeError: an argument holds no numbers, or faces no integers.
+        ValueError: shapes that do not fit, or values out of range; the message lists every problem by patch number.
+    """
+
+    parent: IntArray | None
+    """(n,) for a scene made by :meth:`subdivide`: the patch of the coarse scene that each patch is a part of."""
+    names: tuple[str, ...] | None
+    """The name of the object that each patch belongs to."""
+
+    def __init__(
+        self,
+        vertices: Any,
+        faces: Any,
+        reflectance: Any = 0.5,
+        emission: Any = 0.0,
+        sides: str = "front",
+        names: Sequence[str] | None = None,
+    ) -> None:
+        if sides not in SIDES:
+            raise ValueError(f"sides must be one of {SIDES}, not {sides!r}")
+        indices = triangle_indices("faces", faces)
+        n = len(indices)
+        rho, e = per_patch(n, reflectance=reflectance, emission=emission)
+        if names is not None and len(names) != n:
+            raise ValueError(f"names must hold {n} names, one a patch, not {len(names)}")
+        self._core = _core.Scene(shaped("vertices", vertices, "V", 3), indices, rho, e, sides == "both")
+        self.parent = None
+        self.names = None if names is None else tuple(names) * (2 if sides == "both" else 1)
+
+    @classmethod
+    def _from_core(cls, core: _core.Scene, names: tuple[str, ...] | None) -> Scene:
+        scene = cls.__new__(cls)
+        scene._core = core
+        scene.parent = None
+        scene.names = names
+        return scene
+
+    @classmethod
+    def from_trimesh(cls, mesh: trimesh.Trimesh | trimesh.Scene, reflectance: Any = None, emission: Any = None) -> Scene:
+        """A scene from a ``trimesh`` mesh or scene, its transforms applied and its materials used where present.
+
+        Args:
+            mesh: a ``trimesh.Trimesh`` or ``trimesh.Scene``.
+            reflectance: overrides the materials; scalar, (b,) or (n, b).
+            emission: overrides the materials, W/m^2; scalar, (b,) or (n, b).
+
+        See :func:`radiosity.load` for how materials are understood.
+        """
+        from .load import from_trimesh
+
+        return from_trimesh(mesh, reflectance=reflectance, emission=emission)
+
+    @cached_property
+    def vertices(self) -> FloatArray:
+        """(V, 3) coordinates, m."""
+        return read_only(self._core.vertices)
+
+    @cached_property
+    def faces(self) -> IntArray:
+        """(n, 3) corner indices."""
+        return read_only(self._core.faces)
+
+    @cached_property
+    def reflectance(self) -> FloatArray:
+        """(n, b) reflectance rho."""
+        return read_only(self._core.reflectance)
+
+    @cached_property
+    def emission(self) -> FloatArray:
+        """(n, b) emission E, W/m^2."""
+        return read_only(self._core.emission)
+
+    @cached_property
+    def areas(self) -> FloatArray:
+        """(n,) areas A, m^2."""
+        return read_only(self._core.areas)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(n, 3) unit normals, front side."""
+        return read_only(self._core.normals)
+
+    @cached_property
+    def centroids(self) -> FloatArray:
+        """(n, 3) centroids, m."""
+        return read_only(self.vertices[self.faces].mean(axis=1))
+
+    @property
+    def n_patches(self) -> int:
+        """Number of patches n."""
+        return len(self.faces)
+
+    @property
+    def bands(self) -> int:
+        """Number of bands b: RGB is three, heat is one."""
+        return self.reflectance.shape[1]
+
+    def __repr__(self) -> str:
+        return f"Scene({self.n_patches} patches, {self.bands} bands, {self.areas.sum():.6g} m^2)"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            "arrays": (self.vertices, self.faces, self.reflectance, self.emission),
+            "parent": self.parent,
+            "names": self.names,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._core = _core.Scene(*state["arrays"], False)
+        self.parent = state["parent"]
+        self.names = state["names"]
+
+    def with_materials(self, reflectance: Any, emission: Any) -> Scene:
+        """The same patches with another reflectance and emission (scalar, (b,) or (n, b))."""
+        rho, e = per_patch(self.n_patches, reflectance=reflectance, emission=emission)
+        scene = Scene._from_core(_core.Scene(self.vertices, self.faces, rho, e, False), self.names)
+        scene.parent = self.parent
+        return scene
+
+    def subdivide(self, max_edge: float) -> Scene:
+        """A finer scene in which no edge is longer than ``max_edge`` (m), without T-junctions.
+
+        Materials are inherited; ``.parent`` of the result gives each patch's origin in this scene.
+
+        Raises:
+            ValueError: ``max_edge`` is not positive.
+            MemoryError: the result would be too large.
+        """
+        core, parent = self._core.subdivide(float(max_edge))
+        names = None if self.names is None else tuple(self.names[p] for p in parent.tolist())
+        scene = Scene._from_core(core, names)
+        scene.parent = read_only(parent)
+        return scene
+
+    def report(self) -> Report:
+        """What to know before solving: orientation, holes, degenerate and duplicate patches, memory. Print it."""
+        return report(self)
+
+    def intersect(self, origins: Any, directions: Any, threads: int | None = None) -> Hits:
+        """The first patch that each ray hits, from either side.
+
+        Args:
+            origins: (m, 3) starting points, m.
+            directions: (m, 3) directions, of any length but 0.
+            threads: None for all cores.
+
+        Returns:
+            Hits: ``.patch`` (m,), ``.distance`` (m,), ``.barycentric`` (m, 2).
+
+        Raises:
+            ValueError: shapes that differ, a coordinate that is not finite, a direction of length 0.
+        """
+        o, d = _pair("origins", origins, "directions", directions)
+        return Hits(*self._core.intersect(o, d, thread_count(threads)))
+
+    def occluded(self, p: Any, q: Any, threads: int | None = None) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """(m,) whether a patch meets the open segment from ``p`` to ``q``, (m, 3) each.
+
+        Patches block from both sides. The ends themselves do not count: a point on a patch sees what is before it.
+
+        Raises:
+            ValueError: shapes that differ, or a coordinate that is not finite.
+        """
+        return self._core.occluded(*_pair("p", p, "q", q), thread_count(threads))
+
+
+def _pair(name_a: str, a: Any, name_b: str, b: Any) -> tuple[FloatArray, FloatArray]:
+    first, second = shaped(name_a, a, "m", 3), shaped(name_b, b, "m", 3)
+    if len(first) != len(second):
+        raise ValueError(f"{name_a} has {len(first)} rows and {name_b} {len(second)}; they must be as many")
+    return first, second

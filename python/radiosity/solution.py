@@ -1,0 +1,130 @@
+"""What a solver hands back: the numbers per patch, how far they can be trusted, and what was spent on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .arrays import FloatArray
+from .scene import Scene
+
+
+@dataclass(frozen=True)
+class Step:
+    """One entry of a solver's history."""
+
+    residual: float
+    """Relative residual ||E + rho F B - B|| / ||E||, the largest over the bands (area-weighted norms)."""
+    unshot: FloatArray
+    """(b,) power that has arrived but has not been sent on, W (per m^2 of patch where areas are unknown)."""
+
+
+@dataclass(frozen=True)
+class EnergyAudit:
+    """Where the power went, W per band: emitted = absorbed + left + unshot, to rounding."""
+
+    emitted: FloatArray
+    """(b,) sum of A E."""
+    absorbed: FloatArray
+    """(b,) sum of A (1 - rho) H."""
+    left: FloatArray
+    """(b,) what left the scene: sum of A B times the remainder."""
+    unshot: FloatArray
+    """(b,) what the iteration had not yet sent on: sum of A times the residual."""
+
+    @property
+    def imbalance(self) -> float:
+        """abs(emitted - absorbed - left - unshot) / emitted, the largest over the bands; 0 without emission."""
+        gap = np.abs(self.emitted - self.absorbed - self.left - self.unshot)
+        return float(np.max(np.divide(gap, self.emitted, out=np.zeros_like(gap), where=self.emitted > 0)))
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was done and what it cost. Print it."""
+
+    method: str
+    """Name of the solver."""
+    patches: int
+    """Number of patches n."""
+    bands: int
+    """Number of bands b."""
+    steps: int
+    """Steps that the solver took."""
+    residual: float
+    """Relative residual reached."""
+    audit: EnergyAudit | None
+    """The energy audit; None for a matrix without areas."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Wall-clock seconds per stage."""
+    segments: int = 0
+    """Segments cast for visibility."""
+    row_error: float | None = None
+    """Estimated largest error of a row of F, sum over j of abs(dF_ij); None for a matrix that the user brought."""
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.patches} patches, {self.bands} bands, method {self.method}",
+            f"steps      {self.steps}, relative residual {self.residual:.2e}",
+        ]
+        if self.row_error is not None:
+            lines.append(f"F          row error about {self.row_error:.1e}, {self.segments} segments cast")
+        if self.audit is not None:
+            audit = self.audit
+            lines += [
+                f"emitted    {_watts(audit.emitted)}",
+                f"absorbed   {_watts(audit.absorbed)}",
+                f"left       {_watts(audit.left)}",
+                f"unshot     {_watts(audit.unshot)}",
+                f"imbalance  {audit.imbalance:.1e} of what was emitted",
+            ]
+        lines += [f"{stage:10s} {seconds:.3f} s" for stage, seconds in self.seconds.items()]
+        return "\n".join(lines)
+
+
+def _watts(power: FloatArray) -> str:
+    return "  ".join(f"{value:.6g}" for value in power) + " W"
+
+
+@dataclass(frozen=True, repr=False)
+class Solution:
+    """A solved radiosity equation B = E + rho H, H = F B."""
+
+    radiosity: FloatArray
+    """(n, b) radiosity B, W/m^2."""
+    irradiance: FloatArray
+    """(n, b) irradiance H, W/m^2."""
+    standard_error: FloatArray | None
+    """(n, b) standard error of B from the sampled visibility in F; None for a matrix that the user brought."""
+    error_estimate: float
+    """Estimated error of the reflected radiosity B - E (area-weighted RMS, relative, the worst band) against the exact
+    solution *on these patches*: iteration and sampled visibility. What patches of constant radiosity cannot show at all,
+    the discretisation error, is not in it; a finer mesh (:meth:`radiosity.Scene.subdivide`) lowers that. Infinite where
+    no bound on the iteration is known (a reflectance of 1)."""
+    history: tuple[Step, ...]
+    """One entry a step."""
+    report: Report
+    """What was done and what it cost."""
+    scene: Scene | None
+    """The scene with the emission and reflectance that were solved for; None for a matrix that the user brought."""
+
+    def __repr__(self) -> str:
+        n, b = self.radiosity.shape
+        return f"Solution({n} patches, {b} bands, {self.report.method}, error about {self.error_estimate:.2g})"
+
+
+class ConvergenceError(RuntimeError):
+    """An iteration used up its steps before it reached its tolerance."""
+
+    solution: Solution
+    """What was reached: a usable, unfinished solution."""
+
+    def __init__(self, message: str, solution: Solution) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+    @property
+    def history(self) -> tuple[Step, ...]:
+        """One entry a step."""
+        return self.solution.history

@@ -1,0 +1,361 @@
+//! The dense operator: the exchange G_ij = A_i F_ij of every pair, in f64, stored once.
+//!
+//! G = (unoccluded exchange by [`crate::form_factor::exchange`]) x (visible fraction by
+//! [`crate::form_factor::occluded`]). Pairs that face away cost nothing, pairs with an empty shaft between them no rays,
+//! a convex scene no tree. Row i of the triangle holds G_i0 .. G_i,i-1; G_ii is 0 because patches are flat.
+
+use rayon::prelude::*;
+
+use super::FormFactors;
+use super::matrix::add_scaled;
+use crate::error::{Error, Result};
+use crate::form_factor::occluded::{End, visible_fraction};
+use crate::form_factor::{Accuracy, Scratch, Shape, exchange};
+use crate::geometry::Triangle;
+use crate::progress::Progress;
+use crate::scene::Scene;
+use crate::visibility::Bvh;
+
+/// What to compute, and within what.
+#[derive(Debug, Clone, Copy)]
+pub struct DenseOptions {
+    /// Bound on sum over j of |dF_ij|, for every row i; in [1e-8, 1).
+    pub tolerance: f64,
+    /// Seed of the quasi-random segments.
+    pub seed: u64,
+    /// Bytes that may be used.
+    pub memory: u64,
+}
+
+/// The sampling error that is left in one pair.
+#[derive(Debug, Clone, Copy)]
+struct Uncertain {
+    i: u32,
+    j: u32,
+    /// Standard error of G_ij, m^2.
+    standard_error: f64,
+}
+
+/// Dense symmetric form factors of a scene.
+#[derive(Debug, Clone)]
+pub struct Dense {
+    areas: Vec<f64>,
+    exchange: Vec<f64>,
+    uncertain: Vec<Uncertain>,
+    error_estimate: f64,
+    segments: u64,
+}
+
+/// Share of the row tolerance that goes to the unoccluded kernels; they are cheap, and their error is an upper bound.
+const KERNEL_SHARE: f64 = 0.25;
+/// Segments of the pilot round, which tells how many are needed.
+const PILOT: u32 = 16;
+/// The error of quasi-random visibility falls like segments^-RATE (measured 0.6 to 0.7; random would be 0.5).
+const RATE: f64 = 0.6;
+/// A pair gets no more segments than this: beyond, a finer mesh is the better answer.
+const MOST_SEGMENTS: u32 = 1 << 16;
+/// Rounds after the pilot. Each plans from what the last one measured; two nearly always suffice.
+const ROUNDS: usize = 4;
+/// Fixed number of partial sums in a product, whatever the number of threads: the same bits every time.
+const PARTS: usize = 32;
+
+/// A pair whose visibility has to be sampled.
+#[derive(Debug, Clone, Copy)]
+struct Candidate {
+    i: u32,
+    j: u32,
+    /// Segments that the estimate rests on, and segments to cast in the next round.
+    cast: u32,
+    planned: u32,
+    visible: f64,
+    standard_error: f64,
+}
+
+/// First entry of row i in the packed triangle.
+#[inline]
+fn row_start(i: usize) -> usize {
+    i * i.saturating_sub(1) / 2
+}
+
+impl Dense {
+    /// Bytes that the operator of `n` patches holds at least.
+    pub fn forecast(n: usize) -> u64 {
+        let n = n as u64;
+        4 * n * n.saturating_sub(1) + 8 * n
+    }
+
+    /// Computes the form factors of every pair.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a tolerance out of range, [`Error::Memory`] before anything is allocated,
+    /// [`Error::Interrupted`].
+    pub fn new(scene: &Scene, options: DenseOptions, progress: &Progress) -> Result<Dense> {
+        if !(Accuracy::TIGHTEST..1.0).contains(&options.tolerance) {
+            return Err(Error::Invalid(format!(
+                "tolerance {} is outside [{:e}, 1)",
+                options.tolerance,
+                Accuracy::TIGHTEST
+            )));
+        }
+        let n = scene.len();
+        let needed = Dense::forecast(n);
+        if needed > options.memory {
+            return Err(Error::Memory {
+                what: format!("the dense exchange of {n} patches"),
+                needed,
+                available: options.memory,
+                remedy: "use fewer patches (a larger max_edge)".to_string(),
+            });
+        }
+        let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
+        let blockers = Bvh::of_blockers(scene);
+        let mut exchange = vec![0.0; row_start(n)];
+        let mut candidates = unoccluded(scene, accuracy, &blockers, &mut exchange, progress)?;
+        let budget = (1.0 - KERNEL_SHARE) * options.tolerance;
+        let mut segments = 0;
+        let mut visibility_error = 0.0;
+        for round in 0..=ROUNDS {
+            segments += sample(scene, &blockers, &mut candidates, options.seed, progress)?;
+            let errors = row_errors(scene.areas(), &exchange, &candidates);
+            visibility_error = errors.iter().copied().fold(0.0, f64::max);
+            if round == ROUNDS || !plan(&mut candidates, &errors, budget) {
+                break;
+            }
+        }
+        let mut uncertain = Vec::new();
+        for c in &candidates {
+            let g = &mut exchange[row_start(c.i as usize) + c.j as usize];
+            if c.standard_error > 0.0 && *g > 0.0 {
+                uncertain.push(Uncertain { i: c.i, j: c.j, standard_error: c.standard_error * *g });
+            }
+            *g *= c.visible;
+        }
+        uncertain.shrink_to_fit();
+        let error_estimate = KERNEL_SHARE * options.tolerance + visibility_error;
+        Ok(Dense { areas: scene.areas().to_vec(), exchange, uncertain, error_estimate, segments })
+    }
+
+    /// Estimate of the largest row error max_i sum_j |dF_ij|: the kernels' bound plus one standard error a sampled pair.
+    pub fn error_estimate(&self) -> f64 {
+        self.error_estimate
+    }
+
+    /// Segments cast.
+    pub fn segments(&self) -> u64 {
+        self.segments
+    }
+
+    /// G_i0 .. G_i,i-1.
+    fn lower(&self, i: usize) -> &[f64] {
+        &self.exchange[row_start(i)..][..i]
+    }
+
+    /// G_ji for j = i + 1, i + 2, ...
+    fn upper(&self, i: usize) -> impl Iterator<Item = f64> + '_ {
+        (i + 1..self.areas.len()).map(move |j| self.exchange[row_start(j) + i])
+    }
+
+    /// All G_ij of patch i with their j, in the order of j.
+    fn partners(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        self.lower(i).iter().copied().enumerate().chain((i + 1..).zip(self.upper(i)))
+    }
+}
+
+impl FormFactors for Dense {
+    fn len(&self) -> usize {
+        self.areas.len()
+    }
+
+    fn areas(&self) -> Option<&[f64]> {
+        Some(&self.areas)
+    }
+
+    fn gather(&self, i: usize, x: &[f64], out: &mut [f64]) {
+        let bands = out.len();
+        out.fill(0.0);
+        for ((_, g), x) in self.partners(i).zip(others(x, i, bands)) {
+            add_scaled(g, x, out);
+        }
+        out.iter_mut().for_each(|out| *out /= self.areas[i]);
+    }
+
+    fn shoot(&self, i: usize, amount: &[f64], out: &mut [f64]) {
+        let bands = amount.len();
+        for (j, g) in self.partners(i) {
+            add_scaled(g / self.areas[j], amount, &mut out[j * bands..][..bands]);
+        }
+    }
+
+    /// Every G_ij is read once and used for both patches: half the memory traffic of two triangles.
+    fn apply(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        let n = self.areas.len();
+        let parts: Vec<Vec<f64>> = (0..PARTS)
+            .into_par_iter()
+            .map(|part| {
+                let mut sums = vec![0.0; n * bands];
+                // Rows of a triangle grow: boundaries at n sqrt(k / PARTS) give every part the same number of pairs.
+                let bound = |k: usize| (n as f64 * (k as f64 / PARTS as f64).sqrt()).round() as usize;
+                for i in bound(part)..bound(part + 1) {
+                    let (before, from) = sums.split_at_mut(i * bands);
+                    let (sum_i, x_i) = (&mut from[..bands], &x[i * bands..][..bands]);
+                    for (j, &g) in self.lower(i).iter().enumerate() {
+                        if g != 0.0 {
+                            add_scaled(g, &x[j * bands..][..bands], sum_i);
+                            add_scaled(g, x_i, &mut before[j * bands..][..bands]);
+                        }
+                    }
+                }
+                sums
+            })
+            .collect();
+        for (k, out) in out.iter_mut().enumerate() {
+            *out = parts.iter().map(|sums| sums[k]).sum::<f64>() / self.areas[k / bands];
+        }
+    }
+
+    fn row(&self, i: usize, out: &mut [f64]) {
+        out[i] = 0.0;
+        self.partners(i).for_each(|(j, g)| out[j] = g / self.areas[i]);
+    }
+
+    fn standard_error(&self, x: &[f64], bands: usize) -> Option<Vec<f64>> {
+        let mut variance = vec![0.0; self.areas.len() * bands];
+        for u in &self.uncertain {
+            let (i, j) = (u.i as usize, u.j as usize);
+            for b in 0..bands {
+                let (from_j, from_i) = (u.standard_error * x[j * bands + b], u.standard_error * x[i * bands + b]);
+                variance[i * bands + b] += (from_j / self.areas[i]).powi(2);
+                variance[j * bands + b] += (from_i / self.areas[j]).powi(2);
+            }
+        }
+        variance.iter_mut().for_each(|v| *v = v.sqrt());
+        Some(variance)
+    }
+
+    fn nbytes(&self) -> usize {
+        size_of_val(self.exchange.as_slice())
+            + size_of_val(self.areas.as_slice())
+            + size_of_val(self.uncertain.as_slice())
+    }
+}
+
+/// The rows of `x` of every patch but i.
+fn others(x: &[f64], i: usize, bands: usize) -> impl Iterator<Item = &[f64]> {
+    x[..i * bands].chunks_exact(bands).chain(x[(i + 1) * bands..].chunks_exact(bands))
+}
+
+/// Fills `packed` with the unoccluded exchange, and returns the pairs that something may stand between.
+fn unoccluded(
+    scene: &Scene,
+    accuracy: Accuracy,
+    blockers: &Bvh,
+    packed: &mut [f64],
+    progress: &Progress,
+) -> Result<Vec<Candidate>> {
+    let n = scene.len();
+    progress.expect(packed.len() as u64);
+    let triangles: Vec<Triangle> = (0..n).map(|i| scene.triangle(i)).collect();
+    let shapes: Vec<Shape> = triangles.iter().map(|t| Shape::new(t)).collect();
+    let mut rows = Vec::with_capacity(n);
+    let mut rest = packed;
+    for i in 0..n {
+        let (row, tail) = rest.split_at_mut(i);
+        rows.push((i, row));
+        rest = tail;
+    }
+    // The longest rows first, so that the threads finish together.
+    let found: Result<Vec<Vec<Candidate>>> = rows
+        .into_par_iter()
+        .rev()
+        .map_init(Scratch::default, |scratch, (i, row)| {
+            let mut candidates = Vec::new();
+            for (j, g) in row.iter_mut().enumerate() {
+                if !may_face(&shapes[i], &shapes[j]) {
+                    continue;
+                }
+                *g = exchange(&shapes[i], &shapes[j], accuracy, scratch);
+                let ids = [i as u32, j as u32];
+                if *g > 0.0 && !blockers.shaft_is_empty(&triangles[i], &triangles[j], ids) {
+                    candidates.push(Candidate {
+                        i: i as u32,
+                        j: j as u32,
+                        cast: 0,
+                        planned: PILOT,
+                        visible: 1.0,
+                        standard_error: 0.0,
+                    });
+                }
+            }
+            progress.advance(i as u64)?;
+            Ok(candidates)
+        })
+        .collect();
+    Ok(found?.into_iter().flatten().collect())
+}
+
+/// Whether each patch reaches before the plane of the other, by its bounding sphere.
+#[inline]
+fn may_face(a: &Shape, b: &Shape) -> bool {
+    let between = b.centre - a.centre;
+    a.normal.dot(between) > -b.radius && b.normal.dot(-between) > -a.radius
+}
+
+/// Estimates the visible fraction of every candidate with segments to cast; returns how many were cast.
+fn sample(
+    scene: &Scene,
+    blockers: &Bvh,
+    candidates: &mut [Candidate],
+    seed: u64,
+    progress: &Progress,
+) -> Result<u64> {
+    let work: u64 = candidates.iter().map(|c| u64::from(c.planned)).sum();
+    progress.expect(work);
+    let end = |k: u32| End { patch: k, triangle: scene.triangle(k as usize), normal: scene.normals()[k as usize] };
+    candidates.par_chunks_mut(64).try_for_each(|chunk| {
+        let mut done = 0;
+        for c in chunk.iter_mut().filter(|c| c.planned > 0) {
+            let v = visible_fraction(blockers, &end(c.i), &end(c.j), c.planned, seed);
+            (c.visible, c.standard_error) = (v.value, v.standard_error);
+            done += u64::from(c.planned);
+            (c.cast, c.planned) = (c.planned, 0);
+        }
+        progress.advance(done)
+    })?;
+    Ok(work)
+}
+
+/// For every row the sum over its sampled pairs of the standard error of F_ij.
+fn row_errors(areas: &[f64], exchange: &[f64], candidates: &[Candidate]) -> Vec<f64> {
+    let mut errors = vec![0.0; areas.len()];
+    for c in candidates {
+        let (i, j) = (c.i as usize, c.j as usize);
+        let error = exchange[row_start(i) + j] * c.standard_error;
+        errors[i] += error / areas[i];
+        errors[j] += error / areas[j];
+    }
+    errors
+}
+
+/// Sets the segments of the next round; false when no row is over the budget (or nothing more may be spent).
+///
+/// A row that is r times over its budget needs r^(1/RATE) times the segments on its partly visible pairs. Pairs whose
+/// segments all agreed have an error that falls like 1/m^2, so r times as many keep up.
+fn plan(candidates: &mut [Candidate], errors: &[f64], budget: f64) -> bool {
+    // A little more than needed: one more round would cost as much again.
+    const MARGIN: f64 = 1.2;
+    let mut more = false;
+    for c in candidates {
+        let over = MARGIN * errors[c.i as usize].max(errors[c.j as usize]) / budget;
+        let factor = if over <= MARGIN {
+            0.0
+        } else if c.standard_error > 0.0 {
+            over.powf(1.0 / RATE)
+        } else {
+            over
+        };
+        let wanted = (f64::from(c.cast) * factor).min(f64::from(MOST_SEGMENTS)).ceil() as u32;
+        c.planned = if wanted > c.cast { wanted } else { 0 };
+        more |= c.planned > 0;
+    }
+    more
+}

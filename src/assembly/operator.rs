@@ -1,0 +1,46 @@
+//! The operator F: what one bounce of light does to a vector of radiosities.
+
+use rayon::prelude::*;
+
+/// Form factors as a linear operator. Vectors hold one row of `bands` numbers a patch.
+pub trait FormFactors: Send + Sync {
+    /// Number of patches n.
+    fn len(&self) -> usize;
+
+    /// Whether there are no patches.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Patch areas A, m^2, where they are known. With them the operator obeys A_i F_ij = A_j F_ji.
+    fn areas(&self) -> Option<&[f64]>;
+
+    /// The irradiance of patch i: out_b = sum over j of F_ij x_jb.
+    fn gather(&self, i: usize, x: &[f64], out: &mut [f64]);
+
+    /// What patch i sends to every other: out_jb += F_ji amount_b.
+    fn shoot(&self, i: usize, amount: &[f64], out: &mut [f64]);
+
+    /// The irradiance of every patch, out = F x, `bands` numbers a patch. Same bits for any number of threads.
+    fn apply(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        out.par_chunks_mut(bands).enumerate().for_each(|(i, out)| self.gather(i, x, out));
+    }
+
+    /// Row i: out_j = F_ij.
+    fn row(&self, i: usize, out: &mut [f64]);
+
+    /// Sum over j of F_ij for every i.
+    fn row_sums(&self) -> Vec<f64> {
+        let mut sums = vec![0.0; self.len()];
+        self.apply(&vec![1.0; self.len()], 1, &mut sums);
+        sums
+    }
+
+    /// The standard error of (F x)_ib that the sampling of F leaves; `None` when F was not sampled.
+    fn standard_error(&self, _x: &[f64], _bands: usize) -> Option<Vec<f64>> {
+        None
+    }
+
+    /// Bytes held.
+    fn nbytes(&self) -> usize;
+}

@@ -1,0 +1,128 @@
+//! Planar convex polygons: area, normal, plane, clipping to a half space.
+//!
+//! The front of a polygon is the side from which its corners run counter-clockwise (right-hand rule).
+
+use super::Vec3;
+
+/// The most corners that a polygon may have. A form factor clips each polygon by one plane, which adds one corner.
+pub const MAX_CORNERS: usize = 64;
+
+/// Twice the area times the unit normal: sum over k of (v_k - v_0) x (v_{k+1} - v_0).
+///
+/// Taken relative to the first corner, so that a polygon far from the origin loses no digits.
+pub fn area_vector(corners: &[Vec3]) -> Vec3 {
+    let mut sum = Vec3::ZERO;
+    for k in 1..corners.len().saturating_sub(1) {
+        sum += (corners[k] - corners[0]).cross(corners[k + 1] - corners[0]);
+    }
+    0.5 * sum
+}
+
+/// Area, m^2.
+pub fn area(corners: &[Vec3]) -> f64 {
+    area_vector(corners).length()
+}
+
+/// Mean of the corners: the centre that bounding spheres are drawn around.
+pub fn centre(corners: &[Vec3]) -> Vec3 {
+    corners.iter().sum::<Vec3>() / corners.len() as f64
+}
+
+/// The plane `normal . x = offset` that a polygon lies in, `normal` of unit length on the front side.
+#[derive(Debug, Clone, Copy)]
+pub struct Plane {
+    /// Unit normal, front side.
+    pub normal: Vec3,
+    /// A point of the plane; distances are measured from it, never from the origin, to keep their digits.
+    pub point: Vec3,
+}
+
+impl Plane {
+    /// The plane through a polygon's corners. The polygon's area must not be zero.
+    pub fn of(corners: &[Vec3]) -> Plane {
+        Plane { normal: area_vector(corners).normalize(), point: corners[0] }
+    }
+
+    /// Signed distance of `x`, positive in front.
+    #[inline]
+    pub fn distance(&self, x: Vec3) -> f64 {
+        self.normal.dot(x - self.point)
+    }
+}
+
+/// How far a point may lie off a plane and still count as lying in it, relative to its distance from the plane's point.
+///
+/// 16 ulp covers the rounding of the normal (a cross product and a normalisation) and of the dot product. Without it
+/// the corners that two touching polygons share would fall on a random side of each other's plane.
+const SNAP: f64 = 16.0 * f64::EPSILON;
+
+/// The side of `plane` on which `x` lies: signed distance, exactly 0 when it cannot be told from 0.
+#[inline]
+fn snapped_distance(plane: &Plane, x: Vec3) -> f64 {
+    let d = plane.distance(x);
+    if d.abs() <= SNAP * (x - plane.point).abs().max_element() { 0.0 } else { d }
+}
+
+/// The part of a convex polygon in front of a plane, in `out`; empty when nothing of positive area lies there.
+///
+/// Sutherland & Hodgman 1974, one plane. Corners keep their order; corners within rounding of the plane are kept as
+/// they are, so that a polygon that only touches the plane comes back unchanged.
+pub fn clip_to_front(corners: &[Vec3], plane: &Plane, out: &mut Vec<Vec3>) {
+    out.clear();
+    let mut in_front = false;
+    let mut previous = corners[corners.len() - 1];
+    let mut previous_distance = snapped_distance(plane, previous);
+    for &corner in corners {
+        let distance = snapped_distance(plane, corner);
+        if (previous_distance < 0.0 && distance > 0.0) || (previous_distance > 0.0 && distance < 0.0) {
+            let t = previous_distance / (previous_distance - distance);
+            out.push(previous + t * (corner - previous));
+        }
+        if distance >= 0.0 {
+            in_front |= distance > 0.0;
+            out.push(corner);
+        }
+        previous = corner;
+        previous_distance = distance;
+    }
+    if !in_front || out.len() < 3 {
+        out.clear();
+    }
+}
+
+/// Why `corners` is not a planar convex polygon of positive area, or `None` when it is one.
+///
+/// Planarity and convexity are judged relative to the size of the polygon, at 1e-9: coarser than the rounding of
+/// rotated coordinates, finer than any form factor tolerance that this package accepts.
+pub fn defect(corners: &[Vec3]) -> Option<String> {
+    const RELATIVE: f64 = 1e-9;
+    if corners.len() < 3 {
+        return Some(format!("has {} vertices; a polygon needs at least 3", corners.len()));
+    }
+    if corners.len() > MAX_CORNERS {
+        return Some(format!("has {} vertices; at most {MAX_CORNERS} are allowed", corners.len()));
+    }
+    if let Some(k) = corners.iter().position(|v| !v.is_finite()) {
+        return Some(format!("vertex {k} is {}; coordinates must be finite", corners[k]));
+    }
+    let centre = centre(corners);
+    let size = corners.iter().map(|v| v.distance(centre)).fold(0.0, f64::max);
+    let vector = area_vector(corners);
+    // An area below the rounding of its own cross products cannot be told from zero.
+    if !(vector.length() > 8.0 * f64::EPSILON * size * size) {
+        return Some("has zero area".to_string());
+    }
+    let normal = vector.normalize();
+    for (k, corner) in corners.iter().enumerate() {
+        let off = normal.dot(*corner - centre).abs();
+        if off > RELATIVE * size {
+            return Some(format!("is not planar: vertex {k} lies {off:.3e} off the plane (size {size:.3e})"));
+        }
+        let next = corners[(k + 1) % corners.len()];
+        let after = corners[(k + 2) % corners.len()];
+        if (next - corner).cross(after - next).dot(normal) < -RELATIVE * size * size {
+            return Some(format!("is not convex at vertex {}", (k + 1) % corners.len()));
+        }
+    }
+    None
+}

@@ -1,0 +1,148 @@
+//! Form factors of a scene, and matrices that the user brings.
+
+use std::sync::Arc;
+
+use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyIndexError;
+use pyo3::prelude::*;
+
+use super::convert::{table, values, vector};
+use super::error::to_python;
+use super::run::run;
+use super::scene::Scene;
+use crate::assembly::matrix::{DenseMatrix, SparseMatrix};
+use crate::assembly::{Dense, DenseOptions, FormFactors as Operator, balance};
+
+#[pyclass(frozen, module = "radiosity._core")]
+pub(super) struct FormFactors {
+    pub(super) operator: Arc<dyn Operator>,
+    error_estimate: f64,
+    segments: u64,
+}
+
+impl FormFactors {
+    fn brought(operator: impl Operator + 'static) -> FormFactors {
+        FormFactors { operator: Arc::new(operator), error_estimate: 0.0, segments: 0 }
+    }
+}
+
+#[pymethods]
+impl FormFactors {
+    /// The dense operator of a scene.
+    #[staticmethod]
+    #[pyo3(signature = (scene, tolerance, seed, memory, threads, progress))]
+    fn dense(
+        py: Python<'_>,
+        scene: &Scene,
+        tolerance: f64,
+        seed: u64,
+        memory: u64,
+        threads: Option<usize>,
+        progress: Option<Bound<'_, PyAny>>,
+    ) -> PyResult<FormFactors> {
+        let scene = Arc::clone(&scene.scene);
+        let options = DenseOptions { tolerance, seed, memory };
+        let dense = run(py, threads, progress.as_ref(), move |progress| Dense::new(&scene, options, progress))?;
+        let (error_estimate, segments) = (dense.error_estimate(), dense.segments());
+        Ok(FormFactors { operator: Arc::new(dense), error_estimate, segments })
+    }
+
+    /// An (n, n) array that the user brings.
+    #[staticmethod]
+    fn from_array(array: PyReadonlyArray2<f64>) -> PyResult<FormFactors> {
+        let n = array.as_array().nrows();
+        DenseMatrix::new(n, values(&array)).map(FormFactors::brought).map_err(to_python)
+    }
+
+    /// The three arrays of compressed sparse rows that the user brings.
+    #[staticmethod]
+    fn from_csr(
+        start: PyReadonlyArray1<i64>,
+        index: PyReadonlyArray1<i64>,
+        value: PyReadonlyArray1<f64>,
+    ) -> PyResult<FormFactors> {
+        // What does not fit becomes too large to be in range, and is refused by the core.
+        let start = start.as_array().iter().map(|&k| usize::try_from(k).unwrap_or(usize::MAX)).collect();
+        let index = index.as_array().iter().map(|&j| u32::try_from(j).unwrap_or(u32::MAX)).collect();
+        let value = value.as_array().to_vec();
+        SparseMatrix::new(start, index, value).map(FormFactors::brought).map_err(to_python)
+    }
+
+    /// Bytes that the dense operator of n patches holds at least.
+    #[staticmethod]
+    fn dense_forecast(n: usize) -> u64 {
+        Dense::forecast(n)
+    }
+
+    #[getter]
+    fn n(&self) -> usize {
+        self.operator.len()
+    }
+
+    #[getter]
+    fn nbytes(&self) -> usize {
+        self.operator.nbytes()
+    }
+
+    #[getter]
+    fn error_estimate(&self) -> f64 {
+        self.error_estimate
+    }
+
+    #[getter]
+    fn segments(&self) -> u64 {
+        self.segments
+    }
+
+    #[getter]
+    fn areas<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
+        Some(vector(py, self.operator.areas()?.to_vec()))
+    }
+
+    #[getter]
+    fn row_sums<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let sums = py.detach(|| self.operator.row_sums());
+        vector(py, sums)
+    }
+
+    #[getter]
+    fn remainder<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let remainder = py.detach(|| balance::remainder(self.operator.as_ref()));
+        vector(py, remainder)
+    }
+
+    fn reciprocity_error(&self, py: Python<'_>) -> Option<f64> {
+        py.detach(|| balance::reciprocity_error(self.operator.as_ref()))
+    }
+
+    fn apply<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let bands = x.as_array().ncols();
+        let x = values(&x);
+        let out = py.detach(|| {
+            let mut out = vec![0.0; x.len()];
+            self.operator.apply(&x, bands, &mut out);
+            out
+        });
+        table(py, out, bands)
+    }
+
+    fn row<'py>(&self, py: Python<'py>, i: usize) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let n = self.operator.len();
+        if i >= n {
+            return Err(PyIndexError::new_err(format!("row {i} is outside 0 .. {n}")));
+        }
+        let mut row = vec![0.0; n];
+        self.operator.row(i, &mut row);
+        Ok(vector(py, row))
+    }
+
+    fn toarray<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let n = self.operator.len();
+        let rows = py.detach(|| {
+            let mut rows = vec![0.0; n * n];
+            rows.chunks_exact_mut(n).enumerate().for_each(|(i, row)| self.operator.row(i, row));
+            rows
+        });
+        table(py, rows, n)
+    }
+}

@@ -1,0 +1,28 @@
+//! The face towards Python: convert, release the GIL, call the core, map the error. One file a module of the core.
+//!
+//! Shapes, defaults and documentation are in `python/radiosity/`; nothing here is public to users.
+
+mod assembly;
+mod convert;
+mod error;
+mod form_factor;
+mod render;
+mod run;
+mod scene;
+mod solve;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use super::assembly::FormFactors;
+    #[pymodule_export]
+    use super::form_factor::{form_factor, pair_form_factors};
+    #[pymodule_export]
+    use super::render::render;
+    #[pymodule_export]
+    use super::scene::Scene;
+    #[pymodule_export]
+    use super::solve::{ambient, solve};
+}

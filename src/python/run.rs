@@ -1,0 +1,76 @@
+//! Long work: off the GIL, on as many threads as asked, interruptible, with progress.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
+
+use pyo3::exceptions::PyRuntimeError;
+use pyo3::prelude::*;
+
+use super::error::to_python;
+use crate::error::Result;
+use crate::progress::Progress;
+
+/// How often the waiting thread looks for Ctrl-C and reports progress.
+const POLL: Duration = Duration::from_millis(50);
+
+/// Runs `work` on a thread of its own and waits for it, calling `report(done, total)` meanwhile.
+///
+/// Ctrl-C, or an exception in `report`, is raised at once: the worker is told to stop and left to end by itself, since a
+/// factorisation in a library cannot be told anything.
+pub(super) fn run<T: Send + 'static>(
+    py: Python<'_>,
+    threads: Option<usize>,
+    report: Option<&Bound<'_, PyAny>>,
+    work: impl FnOnce(&Progress) -> Result<T> + Send + 'static,
+) -> PyResult<T> {
+    let progress = Arc::new(Progress::default());
+    let (send, mut receive) = channel();
+    let shared = Arc::clone(&progress);
+    std::thread::spawn(move || {
+        let outcome = catch_unwind(AssertUnwindSafe(|| in_pool(threads, || work(&shared))));
+        // The receiver is gone when the caller was interrupted: nobody wants the result then.
+        let _ = send.send(outcome);
+    });
+    loop {
+        let received;
+        (received, receive) = py.detach(move || (receive.recv_timeout(POLL), receive));
+        let tell = |finished: bool| -> PyResult<()> {
+            let Some(report) = report else { return Ok(()) };
+            let (done, total) = progress.get();
+            if finished || total > 0 {
+                report.call1((done, total))?;
+            }
+            Ok(())
+        };
+        match received {
+            Ok(Ok(result)) => {
+                let value = result?.map_err(to_python)?;
+                tell(true)?;
+                return Ok(value);
+            }
+            Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => {
+                return Err(PyRuntimeError::new_err(
+                    "an internal error occurred in the radiosity core; please report it with the input that caused it",
+                ));
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                if let Err(error) = py.check_signals().and_then(|()| tell(false)) {
+                    progress.stop();
+                    return Err(error);
+                }
+            }
+        }
+    }
+}
+
+/// Runs `work` in a pool of `threads` threads; `None` for the shared pool of all cores.
+fn in_pool<T: Send>(threads: Option<usize>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
+    let Some(threads) = threads else { return Ok(work()) };
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| PyRuntimeError::new_err(format!("cannot start {threads} threads: {e}")))?;
+    Ok(pool.install(work))
+}

@@ -1,0 +1,107 @@
+//! Solvers.
+
+use std::sync::{Arc, Mutex};
+
+use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use super::assembly::FormFactors;
+use super::convert::{table, values, vector};
+use super::error::to_python;
+use super::run::run;
+use crate::error::{Error, Result};
+use crate::solve::{Audit, Method, Options, Solved, Step, System, conclude};
+
+/// Returns a dictionary: the fields of the core's solution, and `failure`, the message when the iteration did not converge.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
+#[pyo3(signature = (form_factors, emission, reflectance, method, tolerance, max_iterations, memory, on_iteration, threads, progress))]
+pub(super) fn solve<'py>(
+    py: Python<'py>,
+    form_factors: &FormFactors,
+    emission: PyReadonlyArray2<f64>,
+    reflectance: PyReadonlyArray2<f64>,
+    method: &str,
+    tolerance: f64,
+    max_iterations: Option<usize>,
+    memory: u64,
+    on_iteration: Option<Py<PyAny>>,
+    threads: Option<usize>,
+    progress: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let method: Method = method.parse().map_err(to_python)?;
+    let operator = Arc::clone(&form_factors.operator);
+    let bands = emission.as_array().ncols();
+    let (emission, reflectance) = (values(&emission), values(&reflectance));
+    // An exception raised by `on_iteration` waits here until the worker has stopped.
+    let raised: Arc<Mutex<Option<PyErr>>> = Arc::default();
+    let slot = Arc::clone(&raised);
+    let outcome = run(py, threads, progress.as_ref(), move |progress| {
+        let system =
+            System { form_factors: operator.as_ref(), emission: &emission, reflectance: &reflectance, bands };
+        let options = Options { tolerance, max_iterations, memory };
+        let mut count = 0usize;
+        let mut observe = |_: &Step, radiosity: &[f64], unshot: &[f64]| -> Result<()> {
+            count += 1;
+            progress.expect(1);
+            progress.advance(1)?;
+            let Some(callback) = &on_iteration else { return Ok(()) };
+            Python::attach(|py| {
+                let call = || -> PyResult<()> {
+                    let (b, r) = (table(py, radiosity.to_vec(), bands)?, table(py, unshot.to_vec(), bands)?);
+                    callback.call1(py, (count, b, r)).map(|_| ())
+                };
+                call().map_err(|error| {
+                    *slot.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(error);
+                    Error::Interrupted
+                })
+            })
+        };
+        match crate::solve::solve(&system, method, &options, &mut observe) {
+            Ok(solved) => Ok((solved, None)),
+            Err(error @ Error::Convergence { .. }) => {
+                let text = error.to_string();
+                let Error::Convergence { radiosity, history, .. } = error else { return Err(error) };
+                Ok((conclude(&system, radiosity, history), Some(text)))
+            }
+            Err(error) => Err(error),
+        }
+    });
+    if let Some(error) = raised.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take() {
+        return Err(error);
+    }
+    let (solved, failure) = outcome?;
+    to_dict(py, solved, bands, failure)
+}
+
+fn to_dict(py: Python<'_>, solved: Solved, bands: usize, failure: Option<String>) -> PyResult<Bound<'_, PyDict>> {
+    let Solved { radiosity, irradiance, standard_error, history, residual, error_estimate, audit } = solved;
+    let dict = PyDict::new(py);
+    dict.set_item("radiosity", table(py, radiosity, bands)?)?;
+    dict.set_item("irradiance", table(py, irradiance, bands)?)?;
+    dict.set_item("standard_error", standard_error.map(|errors| table(py, errors, bands)).transpose()?)?;
+    dict.set_item("residuals", vector(py, history.iter().map(|step| step.residual).collect()))?;
+    dict.set_item("unshot", table(py, history.into_iter().flat_map(|step| step.unshot).collect(), bands)?)?;
+    dict.set_item("residual", residual)?;
+    dict.set_item("error_estimate", error_estimate)?;
+    let audit = audit.map(|Audit { emitted, absorbed, left, unshot }| {
+        [emitted, absorbed, left, unshot].map(|power| vector(py, power))
+    });
+    dict.set_item("audit", audit)?;
+    dict.set_item("failure", failure)?;
+    Ok(dict)
+}
+
+/// The ambient radiosity per band of an unfinished Southwell solution.
+#[pyfunction]
+pub(super) fn ambient<'py>(
+    py: Python<'py>,
+    areas: PyReadonlyArray1<f64>,
+    unshot: PyReadonlyArray2<f64>,
+    reflectance: PyReadonlyArray2<f64>,
+) -> Bound<'py, PyArray1<f64>> {
+    let bands = unshot.as_array().ncols();
+    let areas = areas.as_array().to_vec();
+    vector(py, crate::solve::southwell::ambient(&areas, &values(&unshot), &values(&reflectance), bands))
+}

@@ -1,0 +1,171 @@
+//! The image of a solution: a ray through the pixels, and the radiance L = B / pi of the patch it meets.
+//!
+//! Flat shading shows B as it was solved, one value a patch. Smooth shading interpolates between the corners (Gouraud 1971;
+//! Cohen & Greenberg 1985, section 7), but of the *irradiance*: L = (E + rho H) / pi with E and rho of the patch itself. So
+//! neither a lamp nor a paint leaks over its border, only the light that arrives is smoothed. A corner's irradiance is the
+//! area-weighted mean over the patches around it that lie within [`CREASE`] of the same orientation.
+
+use std::collections::HashMap;
+
+use rayon::prelude::*;
+
+use super::Camera;
+use crate::error::{Error, Result};
+use crate::geometry::Vec3;
+use crate::geometry::sampling::{Sobol, hash};
+use crate::progress::Progress;
+use crate::scene::Scene;
+use crate::visibility::{Bvh, Hit};
+
+/// How a patch's radiosity is spread over it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shading {
+    /// Constant.
+    Flat,
+    /// Irradiance interpolated between the corners.
+    Smooth,
+}
+
+/// Which picture to make.
+#[derive(Debug, Clone, Copy)]
+pub struct Image {
+    /// Pixels a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Flat or smooth.
+    pub shading: Shading,
+}
+
+/// Cosine of the largest angle between patches that are shaded as one surface: 40 degrees keeps boxes sharp and coarse
+/// spheres round.
+const CREASE: f64 = 0.766;
+/// Rays through every pixel, and through pixels in which these meet different patches.
+const RAYS: u32 = 4;
+const RAYS_AT_EDGES: u32 = 16;
+/// Rays a side of the grid that finds out whether the camera sees anything.
+const PROBES: usize = 24;
+
+/// Radiance, W/(m^2 sr), height x width x bands, row 0 on top; the mean over each pixel. Backs and empty space are black.
+///
+/// `irradiance` is H, n x b. `bvh` must hold all patches of the scene.
+///
+/// # Errors
+/// [`Error::Invalid`] when the image has no pixels, or the camera sees nothing or only backs; [`Error::Interrupted`].
+pub fn render(
+    scene: &Scene,
+    bvh: &Bvh,
+    radiosity: &[f64],
+    irradiance: &[f64],
+    camera: &Camera,
+    image: Image,
+    progress: &Progress,
+) -> Result<Vec<f64>> {
+    let Image { width, height, shading } = image;
+    if width == 0 || height == 0 {
+        return Err(Error::Invalid(format!("an image of {width} x {height} pixels is empty; both must be at least 1")));
+    }
+    check_view(scene, bvh, camera, width, height)?;
+    let bands = scene.bands();
+    let corners = match shading {
+        Shading::Flat => Vec::new(),
+        Shading::Smooth => corner_irradiance(scene, irradiance),
+    };
+    let add_radiance = |hit: &Hit, direction: Vec3, out: &mut [f64]| {
+        let i = hit.patch as usize;
+        if scene.normals()[i].dot(direction) >= 0.0 {
+            return;
+        }
+        for (b, out) in out.iter_mut().enumerate() {
+            let k = i * bands + b;
+            let value = match shading {
+                Shading::Flat => radiosity[k],
+                Shading::Smooth => {
+                    let [v, w] = hit.barycentric;
+                    let corner = |c: usize| corners[(3 * i + c) * bands + b];
+                    let h = (1.0 - v - w) * corner(0) + v * corner(1) + w * corner(2);
+                    scene.emission()[k] + scene.reflectance()[k] * h
+                }
+            };
+            *out += value / std::f64::consts::PI;
+        }
+    };
+    let mut pixels = vec![0.0; width * height * bands];
+    progress.expect(height as u64);
+    pixels.par_chunks_mut(width * bands).enumerate().try_for_each(|(y, row)| {
+        for (x, pixel) in row.chunks_exact_mut(bands).enumerate() {
+            let sobol = Sobol::new(hash((y * width + x) as u64));
+            let mut rays = 0;
+            let mut first = None;
+            let mut target = RAYS;
+            while rays < target {
+                let [u, v, ..] = sobol.point(rays);
+                let direction = camera.direction(x as f64 + u, y as f64 + v, width, height);
+                let hit = bvh.closest(scene, camera.origin(), direction);
+                if let Some(hit) = &hit {
+                    add_radiance(hit, direction, pixel);
+                }
+                let patch = hit.map(|hit| hit.patch);
+                if *first.get_or_insert(patch) != patch {
+                    target = RAYS_AT_EDGES;
+                }
+                rays += 1;
+            }
+            pixel.iter_mut().for_each(|value| *value /= f64::from(rays));
+        }
+        progress.advance(1)
+    })?;
+    Ok(pixels)
+}
+
+/// A camera that sees no front of any patch would give a black picture: say so, and why, before the work.
+fn check_view(scene: &Scene, bvh: &Bvh, camera: &Camera, width: usize, height: usize) -> Result<()> {
+    let mut back = None;
+    for k in 0..PROBES * PROBES {
+        let (u, v) = (k % PROBES, k / PROBES);
+        let at = |k: usize, size: usize| (k as f64 + 0.5) / PROBES as f64 * size as f64;
+        let direction = camera.direction(at(u, width), at(v, height), width, height);
+        if let Some(hit) = bvh.closest(scene, camera.origin(), direction) {
+            if scene.normals()[hit.patch as usize].dot(direction) < 0.0 {
+                return Ok(());
+            }
+            back.get_or_insert(hit.patch);
+        }
+    }
+    let origin = camera.origin();
+    Err(Error::Invalid(match back {
+        None => format!("the camera at {origin} looks at nothing: no patch is in its view"),
+        Some(patch) => format!(
+            "the camera at {origin} sees only the backs of patches (patch {patch} among them): it stands inside a wall or a \
+             solid, outside a closed room, or the patches are wound clockwise"
+        ),
+    }))
+}
+
+/// The irradiance at the three corners of every patch, n x 3 x b.
+fn corner_irradiance(scene: &Scene, irradiance: &[f64]) -> Vec<f64> {
+    let bands = scene.bands();
+    // Corners are the same when they are at the same place, whatever their index.
+    let mut around: HashMap<[u64; 3], Vec<u32>> = HashMap::new();
+    let key = |v: u32| scene.vertices()[v as usize].to_array().map(|x| (x + 0.0).to_bits());
+    for (i, face) in scene.faces().iter().enumerate() {
+        face.iter().for_each(|&v| around.entry(key(v)).or_default().push(i as u32));
+    }
+    let mut out = vec![0.0; scene.len() * 3 * bands];
+    out.par_chunks_mut(3 * bands).enumerate().for_each(|(i, out)| {
+        for (c, out) in out.chunks_exact_mut(bands).enumerate() {
+            let mut area = 0.0;
+            for &j in &around[&key(scene.faces()[i][c])] {
+                let j = j as usize;
+                if scene.normals()[i].dot(scene.normals()[j]) >= CREASE {
+                    area += scene.areas()[j];
+                    for (out, h) in out.iter_mut().zip(&irradiance[j * bands..][..bands]) {
+                        *out += scene.areas()[j] * h;
+                    }
+                }
+            }
+            out.iter_mut().for_each(|out| *out /= area);
+        }
+    });
+    out
+}

@@ -1,0 +1,168 @@
+//! A scene: triangular patches as flat arrays, with reflectance and emission per band, frozen once built.
+//!
+//! Surfaces are one-sided: the front is the side from which the corners run counter-clockwise. The back blocks light
+//! but neither emits nor reflects. [`Sides::Both`] gives every patch a reversed twin, so that a thin sheet has two
+//! radiosities, one for each side: patch i + n is the back of patch i.
+
+mod validate;
+
+use crate::error::{Error, Result};
+use crate::geometry::polygon::{Plane, area_vector};
+use crate::geometry::subdivision::subdivide;
+use crate::geometry::{Triangle, Vec3};
+
+/// Which sides of the given triangles emit and reflect.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sides {
+    /// The front only (right-hand rule).
+    Front,
+    /// Both: every triangle becomes two patches.
+    Both,
+}
+
+/// What a scene is made from; row-major, one row a patch.
+#[derive(Debug, Clone)]
+pub struct Description {
+    /// Corners of the patches, m.
+    pub vertices: Vec<Vec3>,
+    /// Indices of the three corners of each patch.
+    pub faces: Vec<[i64; 3]>,
+    /// Number of bands b (RGB is three; heat is one).
+    pub bands: usize,
+    /// Reflectance rho, n x b, each in [0, 1].
+    pub reflectance: Vec<f64>,
+    /// Self-emitted radiosity E, n x b, W/m^2.
+    pub emission: Vec<f64>,
+    /// Which sides of the triangles are active.
+    pub sides: Sides,
+}
+
+/// Patches and their materials. All fields are consistent and in range.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    vertices: Vec<Vec3>,
+    faces: Vec<[u32; 3]>,
+    bands: usize,
+    reflectance: Vec<f64>,
+    emission: Vec<f64>,
+    areas: Vec<f64>,
+    normals: Vec<Vec3>,
+}
+
+impl Scene {
+    /// Checks everything and freezes it.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with every problem found, each naming its patch, its value and the allowed range.
+    pub fn new(description: Description) -> Result<Scene> {
+        validate::shapes(&description)?;
+        let Description { vertices, faces, bands, mut reflectance, mut emission, sides } = description;
+        // Validation has bounded every index by the number of vertices, which is below 2^32.
+        let mut faces: Vec<[u32; 3]> = faces.iter().map(|f| f.map(|v| v as u32)).collect();
+        if sides == Sides::Both {
+            faces.extend(faces.clone().iter().map(|&[a, b, c]| [a, c, b]));
+            reflectance.extend_from_within(..);
+            emission.extend_from_within(..);
+        }
+        let scene = Scene::assemble(vertices, faces, bands, reflectance, emission);
+        validate::values(&scene)?;
+        Ok(scene)
+    }
+
+    fn assemble(
+        vertices: Vec<Vec3>,
+        faces: Vec<[u32; 3]>,
+        bands: usize,
+        reflectance: Vec<f64>,
+        emission: Vec<f64>,
+    ) -> Scene {
+        let (mut areas, mut normals) = (Vec::with_capacity(faces.len()), Vec::with_capacity(faces.len()));
+        for face in &faces {
+            let vector = area_vector(&face.map(|v| vertices[v as usize]));
+            areas.push(vector.length());
+            normals.push(vector.normalize_or_zero());
+        }
+        Scene { vertices, faces, bands, reflectance, emission, areas, normals }
+    }
+
+    /// Number of patches n.
+    pub fn len(&self) -> usize {
+        self.faces.len()
+    }
+
+    /// No scene is empty; here because `len` is.
+    pub fn is_empty(&self) -> bool {
+        self.faces.is_empty()
+    }
+
+    /// Number of bands b.
+    pub fn bands(&self) -> usize {
+        self.bands
+    }
+
+    /// Corners, m.
+    pub fn vertices(&self) -> &[Vec3] {
+        &self.vertices
+    }
+
+    /// Corner indices of each patch.
+    pub fn faces(&self) -> &[[u32; 3]] {
+        &self.faces
+    }
+
+    /// Reflectance rho, n x b.
+    pub fn reflectance(&self) -> &[f64] {
+        &self.reflectance
+    }
+
+    /// Emission E, n x b, W/m^2.
+    pub fn emission(&self) -> &[f64] {
+        &self.emission
+    }
+
+    /// Patch areas A, m^2.
+    pub fn areas(&self) -> &[f64] {
+        &self.areas
+    }
+
+    /// Unit normals, front side.
+    pub fn normals(&self) -> &[Vec3] {
+        &self.normals
+    }
+
+    /// The corners of patch `i`.
+    #[inline]
+    pub fn triangle(&self, i: usize) -> Triangle {
+        self.faces[i].map(|v| self.vertices[v as usize])
+    }
+
+    /// The plane of patch `i`.
+    #[inline]
+    pub fn plane(&self, i: usize) -> Plane {
+        Plane { normal: self.normals[i], point: self.vertices[self.faces[i][0] as usize] }
+    }
+
+    /// A finer scene with no edge longer than `max_edge`, and for each of its patches the patch that it is a part of.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when `max_edge` is not positive, [`Error::Memory`] when the result would be too large.
+    pub fn subdivide(&self, max_edge: f64) -> Result<(Scene, Vec<u32>)> {
+        let fine = subdivide(&self.vertices, &self.faces, max_edge)?;
+        let rows = |values: &[f64]| {
+            let mut out = Vec::with_capacity(fine.parent.len() * self.bands);
+            for &p in &fine.parent {
+                out.extend_from_slice(&values[p as usize * self.bands..][..self.bands]);
+            }
+            out
+        };
+        let (reflectance, emission) = (rows(&self.reflectance), rows(&self.emission));
+        let scene = Scene::assemble(fine.vertices, fine.faces, self.bands, reflectance, emission);
+        if let Some(i) = scene.areas.iter().position(|&area| !(area > 0.0)) {
+            return Err(Error::Invalid(format!(
+                "max_edge {max_edge} is too small: a piece of patch {} has no area left",
+                fine.parent[i]
+            )));
+        }
+        Ok((scene, fine.parent))
+    }
+}

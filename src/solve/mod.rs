@@ -1,0 +1,311 @@
+//! Solvers of the radiosity equation B = E + rho F B. They see an operator, E and rho: no geometry, no rays.
+//!
+//! | method | file | one step is | B after step k |
+//! |---|---|---|---|
+//! | `direct` | [`direct`] | LU of I - rho F | the solution |
+//! | `jacobi` | [`jacobi`] | one bounce of all the light | light after k bounces |
+//! | `gauss_seidel` | [`gauss_seidel`] | every patch gathers once, in turn | |
+//! | `southwell` | [`southwell`] | the brightest patch shoots | |
+//! | `gmres` | [`gmres`] | one Krylov vector | least residual in k dimensions |
+//!
+//! The residual r = E + rho F B - B of a radiosity B is the *unshot* radiosity: light that has arrived but has not been
+//! sent on. Every method reports it after every step, and stops when in each band
+//!
+//!   ||r|| / ||E|| <= tolerance,   ||x||^2 = sum over i of A_i x_i^2   (A = 1 where areas are unknown).
+//!
+//! With exact reciprocity rho F is bounded in that norm by q = max_i rho_i x max_i sum_j F_ij, so the distance to the
+//! solution is at most ||r|| / (1 - q).
+
+pub mod direct;
+pub mod gauss_seidel;
+pub mod gmres;
+pub mod jacobi;
+pub mod southwell;
+
+use crate::assembly::FormFactors;
+use crate::error::{Error, Result};
+
+/// A radiosity equation: B = E + rho F B, in all bands at once.
+#[derive(Clone, Copy)]
+pub struct System<'a> {
+    /// F.
+    pub form_factors: &'a dyn FormFactors,
+    /// E, n x b, W/m^2.
+    pub emission: &'a [f64],
+    /// rho, n x b, in [0, 1].
+    pub reflectance: &'a [f64],
+    /// Number of bands b.
+    pub bands: usize,
+}
+
+/// The solvers, by their public names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// LU factorisation.
+    Direct,
+    /// Jacobi iteration: bounce by bounce.
+    Jacobi,
+    /// Gauss-Seidel: gathering.
+    GaussSeidel,
+    /// Southwell relaxation: progressive refinement, shooting.
+    #[doc(alias = "progressive")]
+    #[doc(alias = "shooting")]
+    Southwell,
+    /// Generalised minimal residual.
+    Gmres,
+}
+
+/// Every method with its public name.
+pub const METHODS: [(&str, Method); 5] = [
+    ("direct", Method::Direct),
+    ("jacobi", Method::Jacobi),
+    ("gauss_seidel", Method::GaussSeidel),
+    ("southwell", Method::Southwell),
+    ("gmres", Method::Gmres),
+];
+
+impl std::str::FromStr for Method {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Method> {
+        METHODS.iter().find(|(known, _)| *known == name).map(|(_, method)| *method).ok_or_else(|| {
+            let names: Vec<_> = METHODS.iter().map(|(known, _)| format!("\"{known}\"")).collect();
+            Error::Invalid(format!("unknown method \"{name}\"; the solvers are {}", names.join(", ")))
+        })
+    }
+}
+
+impl Method {
+    /// The public name.
+    pub fn name(self) -> &'static str {
+        METHODS.iter().find(|(_, method)| *method == self).map_or("", |(name, _)| *name)
+    }
+}
+
+/// When to stop.
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    /// Relative residual to reach.
+    pub tolerance: f64,
+    /// Steps allowed; `None` for the method's own limit.
+    pub max_iterations: Option<usize>,
+    /// Bytes that may be used.
+    pub memory: u64,
+}
+
+/// One entry of a solver's history.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// Relative residual ||r|| / ||E||, the largest over the bands.
+    pub residual: f64,
+    /// Power that has not been sent on, sum over i of A_i |r_i|, per band, W.
+    pub unshot: Vec<f64>,
+}
+
+/// Sees every step: the radiosity so far and what is unshot of it, n x b each. An error stops the solver.
+pub type Observer<'a> = dyn FnMut(&Step, &[f64], &[f64]) -> Result<()> + Send + 'a;
+
+/// A solution of the discrete equation.
+#[derive(Debug, Clone)]
+pub struct Solved {
+    /// B, n x b, W/m^2.
+    pub radiosity: Vec<f64>,
+    /// H = F B, n x b, W/m^2.
+    pub irradiance: Vec<f64>,
+    /// Standard error of B from the sampling of F, n x b; `None` when F was not sampled.
+    pub standard_error: Option<Vec<f64>>,
+    /// One entry a step.
+    pub history: Vec<Step>,
+    /// Relative residual reached.
+    pub residual: f64,
+    /// Estimated distance to the solution with exact F on the same patches, relative to ||B - E||, the largest over the
+    /// bands: the iteration's bound and the sampling error in quadrature. Infinite where q >= 1 and no bound is known.
+    pub error_estimate: f64,
+    /// Where the power went; `None` without areas.
+    pub audit: Option<Audit>,
+}
+
+/// The energy audit, W per band: emitted = absorbed + left + unshot, to rounding.
+#[derive(Debug, Clone)]
+pub struct Audit {
+    /// sum A E.
+    pub emitted: Vec<f64>,
+    /// sum A (1 - rho) H.
+    pub absorbed: Vec<f64>,
+    /// sum A B (1 - row sum): what leaves the scene.
+    pub left: Vec<f64>,
+    /// sum A r: what the iteration had not yet sent on.
+    pub unshot: Vec<f64>,
+}
+
+/// Solves a system.
+///
+/// # Errors
+/// [`Error::Invalid`] for shapes and values out of range or a system without finite solution, [`Error::Memory`] for a
+/// matrix too large to factor, [`Error::Convergence`] with all that was reached, [`Error::Interrupted`].
+pub fn solve(system: &System, method: Method, options: &Options, observe: &mut Observer) -> Result<Solved> {
+    validate(system, options)?;
+    let mut run = Run::new(system, method, options, observe);
+    let radiosity = match method {
+        Method::Direct => direct::solve(system, options, &mut run),
+        Method::Jacobi => jacobi::solve(system, &mut run),
+        Method::GaussSeidel => gauss_seidel::solve(system, &mut run),
+        Method::Southwell => southwell::solve(system, &mut run),
+        Method::Gmres => gmres::solve(system, &mut run),
+    }?;
+    let history = run.history;
+    Ok(conclude(system, radiosity, history))
+}
+
+fn validate(system: &System, options: &Options) -> Result<()> {
+    let System { form_factors, emission, reflectance, bands } = *system;
+    let n = form_factors.len();
+    let mut problems = Vec::new();
+    if n == 0 {
+        problems.push("the form-factor matrix is empty".to_string());
+    }
+    if !(options.tolerance > 0.0 && options.tolerance < 1.0) {
+        problems.push(format!("tolerance {} is outside (0, 1)", options.tolerance));
+    }
+    if options.max_iterations == Some(0) {
+        problems.push("max_iterations 0 is below 1".to_string());
+    }
+    for (name, values, limit, range) in
+        [("emission", emission, f64::MAX, "[0, inf)"), ("reflectance", reflectance, 1.0, "[0, 1]")]
+    {
+        if values.len() != n * bands {
+            problems.push(format!("{name} has {} values; {n} patches of {bands} bands need {}", values.len(), n * bands));
+            continue;
+        }
+        let bad = values.iter().enumerate().filter(|(_, v)| !(**v >= 0.0 && **v <= limit)).take(8);
+        problems.extend(bad.map(|(k, v)| format!("patch {}: {name} {v} is outside {range} (band {})", k / bands, k % bands)));
+    }
+    Error::from_problems(problems)?;
+    // Without a loss anywhere the light never dies: rho F has the eigenvalue 1.
+    let row_sums = form_factors.row_sums();
+    for band in 0..bands {
+        let lossless = |(i, sum): (usize, &f64)| reflectance[i * bands + band] == 1.0 && *sum > 1.0 - 1e-9;
+        if row_sums.iter().enumerate().all(lossless) {
+            return Err(Error::Invalid(format!(
+                "every patch has reflectance 1 in band {band} and no light leaves the scene: there is no finite solution"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// What every method does after a step: measure, record, tell, decide.
+pub struct Run<'a, 'b> {
+    system: &'a System<'a>,
+    method: Method,
+    tolerance: f64,
+    max_iterations: Option<usize>,
+    observe: &'a mut Observer<'b>,
+    emission_norms: Vec<f64>,
+    history: Vec<Step>,
+}
+
+impl<'a, 'b> Run<'a, 'b> {
+    fn new(system: &'a System<'a>, method: Method, options: &Options, observe: &'a mut Observer<'b>) -> Run<'a, 'b> {
+        Run {
+            system,
+            method,
+            tolerance: options.tolerance,
+            max_iterations: options.max_iterations,
+            observe,
+            emission_norms: norms(system, system.emission),
+            history: Vec::new(),
+        }
+    }
+
+    /// Records a step; true when the tolerance is met.
+    fn step(&mut self, radiosity: &[f64], unshot: &[f64], own_limit: usize) -> Result<bool> {
+        let System { form_factors, bands, .. } = *self.system;
+        let residual = norms(self.system, unshot)
+            .iter()
+            .zip(&self.emission_norms)
+            .map(|(r, e)| if *e > 0.0 { r / e } else { 0.0 })
+            .fold(0.0, f64::max);
+        let mut power = vec![0.0; bands];
+        for (i, row) in unshot.chunks_exact(bands).enumerate() {
+            let area = form_factors.areas().map_or(1.0, |areas| areas[i]);
+            row.iter().zip(&mut power).for_each(|(r, power)| *power += area * r.abs());
+        }
+        let step = Step { residual, unshot: power };
+        let observed = (self.observe)(&step, radiosity, unshot);
+        self.history.push(step);
+        observed?;
+        if residual <= self.tolerance {
+            return Ok(true);
+        }
+        if self.history.len() >= self.max_iterations.unwrap_or(own_limit) {
+            return Err(Error::Convergence {
+                method: self.method.name(),
+                residual,
+                tolerance: self.tolerance,
+                radiosity: radiosity.to_vec(),
+                history: std::mem::take(&mut self.history),
+            });
+        }
+        Ok(false)
+    }
+}
+
+/// Area-weighted norms, one a band.
+fn norms(system: &System, x: &[f64]) -> Vec<f64> {
+    let mut sums = vec![0.0; system.bands];
+    for (i, row) in x.chunks_exact(system.bands).enumerate() {
+        let area = system.form_factors.areas().map_or(1.0, |areas| areas[i]);
+        row.iter().zip(&mut sums).for_each(|(x, sum)| *sum += area * x * x);
+    }
+    sums.into_iter().map(f64::sqrt).collect()
+}
+
+/// E + rho H - B.
+fn residual(system: &System, irradiance: &[f64], radiosity: &[f64]) -> Vec<f64> {
+    let reflected = system.reflectance.iter().zip(irradiance).map(|(rho, h)| rho * h);
+    system.emission.iter().zip(reflected).zip(radiosity).map(|((e, r), b)| e + r - b).collect()
+}
+
+/// F B.
+fn irradiance(system: &System, radiosity: &[f64]) -> Vec<f64> {
+    let mut out = vec![0.0; radiosity.len()];
+    system.form_factors.apply(radiosity, system.bands, &mut out);
+    out
+}
+
+/// Irradiance, error estimate and audit of a radiosity, whatever method found it.
+pub fn conclude(system: &System, radiosity: Vec<f64>, history: Vec<Step>) -> Solved {
+    let System { form_factors, emission, reflectance, bands } = *system;
+    let irradiance = irradiance(system, &radiosity);
+    let unshot = residual(system, &irradiance, &radiosity);
+    let row_sums = form_factors.row_sums();
+    let standard_error = form_factors
+        .standard_error(&radiosity, bands)
+        .map(|errors| errors.iter().zip(reflectance).map(|(error, rho)| error * rho).collect::<Vec<f64>>());
+    let q = reflectance.iter().copied().fold(0.0, f64::max) * row_sums.iter().copied().fold(0.0, f64::max);
+    let amplification = if q < 1.0 { 1.0 / (1.0 - q) } else { f64::INFINITY };
+    let reflected: Vec<f64> = radiosity.iter().zip(emission).map(|(b, e)| b - e).collect();
+    let (reflected_norms, unshot_norms) = (norms(system, &reflected), norms(system, &unshot));
+    let sampling_norms = standard_error.as_ref().map_or_else(|| vec![0.0; bands], |errors| norms(system, errors));
+    let error_estimate = (0..bands)
+        .filter(|&b| reflected_norms[b] > 0.0)
+        .map(|b| {
+            let iteration = if unshot_norms[b] > 0.0 { unshot_norms[b] * amplification } else { 0.0 };
+            iteration.hypot(sampling_norms[b]) / reflected_norms[b]
+        })
+        .fold(0.0, f64::max);
+    let audit = form_factors.areas().map(|areas| {
+        let total = |value: &dyn Fn(usize, usize) -> f64| {
+            (0..bands).map(|b| areas.iter().enumerate().map(|(i, area)| area * value(i, i * bands + b)).sum()).collect()
+        };
+        Audit {
+            emitted: total(&|_, k| emission[k]),
+            absorbed: total(&|_, k| (1.0 - reflectance[k]) * irradiance[k]),
+            left: total(&|i, k| radiosity[k] * (1.0 - row_sums[i])),
+            unshot: total(&|_, k| unshot[k]),
+        }
+    });
+    let residual = history.last().map_or(0.0, |step| step.residual);
+    Solved { radiosity, irradiance, standard_error, history, residual, error_estimate, audit }
+}
