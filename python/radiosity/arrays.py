@@ -5,13 +5,14 @@ Wrong types raise ``TypeError``, wrong shapes ``ValueError``, both naming the ar
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
+Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 
 def real_array(name: str, value: Any) -> FloatArray:
@@ -60,7 +61,9 @@ def per_patch(n: int, **quantities: Any) -> list[FloatArray]:
     for name, value in quantities.items():
         array = real_array(name, value)
         if array.ndim > 2 or (array.ndim == 2 and array.shape[0] != n) or 0 in array.shape[-1:]:
-            raise ValueError(f"{name} must be a scalar, (b,) one a band, or ({n}, b) one row a patch, not {array.shape}")
+            raise ValueError(
+                f"{name} must be a scalar, (b,) one a band, or ({n}, b) one row a patch, not {array.shape}"
+            )
         arrays.append(array)
     widths = [array.shape[-1] if array.ndim else 1 for array in arrays]
     bands = max(widths)
@@ -90,7 +93,7 @@ def seed_number(seed: int) -> int:
     return int(seed)
 
 
-def read_only(array: npt.NDArray[Any]) -> Any:
+def read_only(array: Array) -> Array:
     """The same array, no longer writeable: what a frozen object hands out."""
     array.flags.writeable = False
     return array

@@ -66,8 +66,8 @@ def render(
         camera: the viewpoint.
         width: pixels a row.
         height: rows.
-        shading: ``"flat"``, one radiosity a patch as it was solved; ``"smooth"``, the irradiance interpolated between the
-            corners of patches that form one surface, so that neither lamps nor paints leak over their borders.
+        shading: ``"flat"``, one radiosity a patch as it was solved; ``"smooth"``, the irradiance interpolated between
+            the corners of patches that form one surface, so that neither lamps nor paints leak over their borders.
         threads: None for all cores.
         progress: see :mod:`radiosity.progress`.
 
@@ -75,7 +75,8 @@ def render(
         (height, width, b), row 0 on top. Backs of patches and empty space are black.
 
     Raises:
-        ValueError: an unknown shading, an empty image, or a camera that sees nothing or only backs (it stands in a wall).
+        ValueError: an unknown shading, an empty image, or a camera that sees nothing or only backs (it stands in a
+            wall).
 
     Sources:
         Gouraud 1971; Cohen & Greenberg 1985, section 7.
@@ -116,7 +117,7 @@ def auto_exposure(image: FloatArray) -> float:
 
 
 def to_srgb(image: FloatArray, exposure: float | None = None) -> npt.NDArray[np.uint8]:
-    """(h, w, b) linear radiance as 8-bit sRGB (IEC 61966-2-1), for b = 1 or 3. ``exposure`` as in :func:`save_image`."""
+    """(h, w, b) linear radiance as 8-bit sRGB (IEC 61966-2-1), b = 1 or 3; ``exposure`` as in :func:`save_image`."""
     scaled = np.clip(image * (auto_exposure(image) if exposure is None else exposure), 0.0, 1.0)
     curved = np.where(scaled <= 0.0031308, 12.92 * scaled, 1.055 * scaled ** (1.0 / 2.4) - 0.055)
     return np.round(255.0 * curved).astype(np.uint8)
@@ -177,7 +178,9 @@ def _write_exr(path: str, pixels: FloatArray) -> None:
         import OpenEXR
     except ImportError as error:
         raise ImportError("EXR files need the OpenEXR package: pip install radiosity[exr]") from error
-    channels = {"Y": pixels[..., 0]} if pixels.shape[2] == 1 else dict(zip("RGB", np.moveaxis(pixels, 2, 0), strict=True))
+    channels = (
+        {"Y": pixels[..., 0]} if pixels.shape[2] == 1 else dict(zip("RGB", np.moveaxis(pixels, 2, 0), strict=True))
+    )
     data = {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, data) as file:

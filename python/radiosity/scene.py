@@ -84,7 +84,9 @@ class Scene:
         return scene
 
     @classmethod
-    def from_trimesh(cls, mesh: trimesh.Trimesh | trimesh.Scene, reflectance: Any = None, emission: Any = None) -> Scene:
+    def from_trimesh(
+        cls, mesh: trimesh.Trimesh | trimesh.Scene, reflectance: Any = None, emission: Any = None
+    ) -> Scene:
         """A scene from a ``trimesh`` mesh or scene, its transforms applied and its materials used where present.
 
         Args:
@@ -141,20 +143,18 @@ class Scene:
     @property
     def bands(self) -> int:
         """Number of bands b: RGB is three, heat is one."""
-        return self.reflectance.shape[1]
+        return int(self.reflectance.shape[1])
 
     def __repr__(self) -> str:
         return f"Scene({self.n_patches} patches, {self.bands} bands, {self.areas.sum():.6g} m^2)"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {
-            "arrays": (self.vertices, self.faces, self.reflectance, self.emission),
-            "parent": self.parent,
-            "names": self.names,
-        }
+        arrays = (self.vertices, self.faces, self.reflectance, self.emission)
+        return {"arrays": arrays, "parent": self.parent, "names": self.names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self._core = _core.Scene(*state["arrays"], False)
+        vertices, faces, reflectance, emission = state["arrays"]
+        self._core = _core.Scene(vertices, faces, reflectance, emission, False)
         self.parent = state["parent"]
         self.names = state["names"]
 

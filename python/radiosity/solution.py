@@ -99,9 +99,9 @@ class Solution:
     """(n, b) standard error of B from the sampled visibility in F; None for a matrix that the user brought."""
     error_estimate: float
     """Estimated error of the reflected radiosity B - E (area-weighted RMS, relative, the worst band) against the exact
-    solution *on these patches*: iteration and sampled visibility. What patches of constant radiosity cannot show at all,
-    the discretisation error, is not in it; a finer mesh (:meth:`radiosity.Scene.subdivide`) lowers that. Infinite where
-    no bound on the iteration is known (a reflectance of 1)."""
+    solution *on these patches*: iteration and sampled visibility. What patches of constant radiosity cannot show at
+    all, the discretisation error, is not in it; a finer mesh (:meth:`radiosity.Scene.subdivide`) lowers that. Infinite
+    where no bound on the iteration is known (a reflectance of 1)."""
     history: tuple[Step, ...]
     """One entry a step."""
     report: Report

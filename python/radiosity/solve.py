@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 OnIteration: TypeAlias = Callable[[int, FloatArray, FloatArray], object]
 METHODS = ("auto", "dense")
 
-# Share of the tolerance that sampled visibility may use; the rest is for the iteration and for the estimate's own error.
+# Share of the tolerance that the error estimate may use; the rest is for the estimate's own error.
 _SAMPLING_SHARE = 0.8
 # Row tolerance of the first attempt, in tolerances of the solution. Errors of single form factors average out over a
-# row: on rooms with boxes a row error of 3 tolerances leaves an error of 0.2 to 0.6 tolerances in B - E.
+# row: on the reference scenes a row error of 3 tolerances leaves an error of 0.2 to 0.7 tolerances in B - E.
 _FIRST_ROW_TOLERANCE = 3.0
 _ATTEMPTS = 4
 

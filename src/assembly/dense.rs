@@ -98,17 +98,25 @@ impl Dense {
             )));
         }
         let n = scene.len();
-        let needed = Dense::forecast(n);
-        if needed > options.memory {
-            return Err(Error::Memory {
+        let fits = |needed: u64| {
+            if needed <= options.memory {
+                return Ok(());
+            }
+            Err(Error::Memory {
                 what: format!("the dense exchange of {n} patches"),
                 needed,
                 available: options.memory,
                 remedy: "use fewer patches (a larger max_edge)".to_string(),
-            });
+            })
+        };
+        fits(Dense::forecast(n))?;
+        let blockers = Bvh::of_blockers(scene);
+        if !blockers.is_empty() {
+            // At most about half of all pairs face each other, and each of these may need its visibility sampled.
+            let sampled = (n as u64) * (n as u64) / 4;
+            fits(Dense::forecast(n) + sampled * (size_of::<Candidate>() + size_of::<Uncertain>()) as u64)?;
         }
         let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
-        let blockers = Bvh::of_blockers(scene);
         let mut exchange = vec![0.0; row_start(n)];
         let mut candidates = unoccluded(scene, accuracy, &blockers, &mut exchange, progress)?;
         let budget = (1.0 - KERNEL_SHARE) * options.tolerance;
@@ -301,13 +309,7 @@ fn may_face(a: &Shape, b: &Shape) -> bool {
 }
 
 /// Estimates the visible fraction of every candidate with segments to cast; returns how many were cast.
-fn sample(
-    scene: &Scene,
-    blockers: &Bvh,
-    candidates: &mut [Candidate],
-    seed: u64,
-    progress: &Progress,
-) -> Result<u64> {
+fn sample(scene: &Scene, blockers: &Bvh, candidates: &mut [Candidate], seed: u64, progress: &Progress) -> Result<u64> {
     let work: u64 = candidates.iter().map(|c| u64::from(c.planned)).sum();
     progress.expect(work);
     let end = |k: u32| End { patch: k, triangle: scene.triangle(k as usize), normal: scene.normals()[k as usize] };

@@ -159,7 +159,9 @@ impl FormFactors for SparseMatrix {
     fn nbytes(&self) -> usize {
         [&self.rows, &self.columns]
             .iter()
-            .map(|c| size_of_val(c.start.as_slice()) + size_of_val(c.index.as_slice()) + size_of_val(c.value.as_slice()))
+            .map(|c| {
+                size_of_val(c.start.as_slice()) + size_of_val(c.index.as_slice()) + size_of_val(c.value.as_slice())
+            })
             .sum()
     }
 }

@@ -86,10 +86,7 @@ pub fn exchange(a: &Shape, b: &Shape, accuracy: Accuracy, scratch: &mut Scratch)
 
 /// A total order of polygons, so that (a, b) and (b, a) run the same instructions.
 fn is_smaller(a: &Shape, b: &Shape) -> bool {
-    let by_corners = || {
-        let (x, y) = (a.corners.iter().map(|v| v.to_array()), b.corners.iter().map(|v| v.to_array()));
-        x.le(y)
-    };
+    let by_corners = || a.corners.iter().map(Vec3::to_array).le(b.corners.iter().map(Vec3::to_array));
     a.area < b.area || (a.area == b.area && by_corners())
 }
 

@@ -92,8 +92,8 @@ pub fn clip_to_front(corners: &[Vec3], plane: &Plane, out: &mut Vec<Vec3>) {
 
 /// Why `corners` is not a planar convex polygon of positive area, or `None` when it is one.
 ///
-/// Planarity and convexity are judged relative to the size of the polygon, at 1e-9: coarser than the rounding of
-/// rotated coordinates, finer than any form factor tolerance that this package accepts.
+/// Planarity and convexity are judged at 1e-9 of the polygon's size, coarser than the rounding of a rotation and finer
+/// than any form factor tolerance of this package, or at the rounding of the coordinates themselves where that is more.
 pub fn defect(corners: &[Vec3]) -> Option<String> {
     const RELATIVE: f64 = 1e-9;
     if corners.len() < 3 {
@@ -105,23 +105,25 @@ pub fn defect(corners: &[Vec3]) -> Option<String> {
     if let Some(k) = corners.iter().position(|v| !v.is_finite()) {
         return Some(format!("vertex {k} is {}; coordinates must be finite", corners[k]));
     }
-    let centre = centre(corners);
-    let size = corners.iter().map(|v| v.distance(centre)).fold(0.0, f64::max);
-    let vector = area_vector(corners);
+    let local: Vec<Vec3> = corners.iter().map(|v| *v - corners[0]).collect();
+    let size = local.iter().map(|v| v.length()).fold(0.0, f64::max);
+    let vector = area_vector(&local);
     // An area below the rounding of its own cross products cannot be told from zero.
     if !(vector.length() > 8.0 * f64::EPSILON * size * size) {
         return Some("has zero area".to_string());
     }
     let normal = vector.normalize();
-    for (k, corner) in corners.iter().enumerate() {
-        let off = normal.dot(*corner - centre).abs();
-        if off > RELATIVE * size {
+    let rounding = 4.0 * f64::EPSILON * corners.iter().map(|v| v.abs().max_element()).fold(0.0, f64::max);
+    let slack = RELATIVE * size + rounding;
+    let middle = centre(&local);
+    for k in 0..local.len() {
+        let [corner, next, after] = [local[k], local[(k + 1) % local.len()], local[(k + 2) % local.len()]];
+        let off = normal.dot(corner - middle).abs();
+        if local.len() > 3 && off > slack {
             return Some(format!("is not planar: vertex {k} lies {off:.3e} off the plane (size {size:.3e})"));
         }
-        let next = corners[(k + 1) % corners.len()];
-        let after = corners[(k + 2) % corners.len()];
-        if (next - corner).cross(after - next).dot(normal) < -RELATIVE * size * size {
-            return Some(format!("is not convex at vertex {}", (k + 1) % corners.len()));
+        if (next - corner).cross(after - next).dot(normal) < -slack * size {
+            return Some(format!("is not convex at vertex {}", (k + 1) % local.len()));
         }
     }
     None

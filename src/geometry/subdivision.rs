@@ -30,11 +30,8 @@ pub fn subdivide(vertices: &[Vec3], faces: &[[u32; 3]], max_edge: f64) -> Result
     if !(max_edge > 0.0 && max_edge.is_finite()) {
         return Err(Error::Invalid(format!("max_edge {max_edge} is not a positive finite length")));
     }
-    let mut mesh = Subdivision {
-        vertices: vertices.to_vec(),
-        faces: faces.to_vec(),
-        parent: (0..faces.len() as u32).collect(),
-    };
+    let mut mesh =
+        Subdivision { vertices: vertices.to_vec(), faces: faces.to_vec(), parent: (0..faces.len() as u32).collect() };
     loop {
         let before = mesh.faces.len();
         mesh = halve_long_edges(mesh, max_edge);

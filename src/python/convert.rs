@@ -28,7 +28,7 @@ pub(super) fn values<T: Copy + numpy::Element>(array: &PyReadonlyArray2<T>) -> V
 
 /// Points as an (m, 3) array.
 pub(super) fn from_points<'py>(py: Python<'py>, points: &[Vec3]) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    table(py, points.iter().flat_map(|p| p.to_array()).collect(), 3)
+    table(py, points.iter().flat_map(Vec3::to_array).collect(), 3)
 }
 
 /// A flat vector as an array with `columns` columns.
@@ -37,7 +37,7 @@ pub(super) fn table<T: numpy::Element>(
     values: Vec<T>,
     columns: usize,
 ) -> PyResult<Bound<'_, PyArray2<T>>> {
-    let rows = if columns == 0 { 0 } else { values.len() / columns };
+    let rows = values.len().checked_div(columns).unwrap_or(0);
     let array = Array2::from_shape_vec((rows, columns), values).map_err(|e| PyValueError::new_err(e.to_string()))?;
     Ok(array.into_pyarray(py))
 }

@@ -1,5 +1,6 @@
 //! Form factors of pairs.
 
+use numpy::ndarray::ArrayView1;
 use numpy::{PyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
 use rayon::prelude::*;
@@ -69,7 +70,7 @@ pub(super) fn pair_form_factors<'py>(
 }
 
 fn triangles(array: &PyReadonlyArray3<f64>) -> Vec<Triangle> {
-    let corner = |row: numpy::ndarray::ArrayView1<f64>| Vec3::new(row[0], row[1], row[2]);
+    let corner = |row: ArrayView1<f64>| Vec3::new(row[0], row[1], row[2]);
     let outer = array.as_array();
     outer.outer_iter().map(|t| [corner(t.row(0)), corner(t.row(1)), corner(t.row(2))]).collect()
 }

@@ -32,8 +32,7 @@ pub(super) fn render<'py>(
     threads: Option<usize>,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    let camera =
-        Camera::new(Vec3::from(origin), Vec3::from(target), Vec3::from(up), fov).map_err(to_python)?;
+    let camera = Camera::new(Vec3::from(origin), Vec3::from(target), Vec3::from(up), fov).map_err(to_python)?;
     let image = Image { width, height, shading: if smooth { Shading::Smooth } else { Shading::Flat } };
     let (radiosity, irradiance) = (values(&radiosity), values(&irradiance));
     let bands = scene.scene.bands();

@@ -1,6 +1,6 @@
 //! Solvers.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -38,8 +38,7 @@ pub(super) fn solve<'py>(
     let raised: Arc<Mutex<Option<PyErr>>> = Arc::default();
     let slot = Arc::clone(&raised);
     let outcome = run(py, threads, progress.as_ref(), move |progress| {
-        let system =
-            System { form_factors: operator.as_ref(), emission: &emission, reflectance: &reflectance, bands };
+        let system = System { form_factors: operator.as_ref(), emission: &emission, reflectance: &reflectance, bands };
         let options = Options { tolerance, max_iterations, memory };
         let mut count = 0usize;
         let mut observe = |_: &Step, radiosity: &[f64], unshot: &[f64]| -> Result<()> {
@@ -53,7 +52,7 @@ pub(super) fn solve<'py>(
                     callback.call1(py, (count, b, r)).map(|_| ())
                 };
                 call().map_err(|error| {
-                    *slot.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(error);
+                    *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
                     Error::Interrupted
                 })
             })
@@ -68,7 +67,7 @@ pub(super) fn solve<'py>(
             Err(error) => Err(error),
         }
     });
-    if let Some(error) = raised.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take() {
+    if let Some(error) = raised.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);
     }
     let (solved, failure) = outcome?;

@@ -54,7 +54,6 @@ impl Camera {
     #[inline]
     pub fn direction(&self, x: f64, y: f64, width: usize, height: usize) -> Vec3 {
         let scale = self.tangent / (0.5 * height as f64);
-        self.forward
-            + scale * ((x - 0.5 * width as f64) * self.right + (0.5 * height as f64 - y) * self.up)
+        self.forward + scale * ((x - 0.5 * width as f64) * self.right + (0.5 * height as f64 - y) * self.up)
     }
 }

@@ -106,8 +106,16 @@ pub(super) fn values(scene: &Scene) -> Result<()> {
     Error::from_problems(problems)
 }
 
-/// Whether every edge is shared by as many patches in one direction as in the other, corners compared by position.
+/// Whether the patches enclose their fronts: every edge is shared by as many patches in one direction as in the other
+/// (corners compared by position), and the signed volume says that the fronts look inward. A closed body seen from outside
+/// loses its light to the surroundings.
 fn is_closed(scene: &Scene) -> bool {
+    let origin = scene.vertices[scene.faces[0][0] as usize];
+    let volume: f64 =
+        (0..scene.len()).map(|i| scene.triangle(i).map(|v| v - origin)).map(|[a, b, c]| a.dot(b.cross(c))).sum();
+    if volume >= 0.0 {
+        return false;
+    }
     // Adding 0.0 makes -0.0 and 0.0 the same position.
     let key = |v: u32| scene.vertices[v as usize].to_array().map(|x| (x + 0.0).to_bits());
     let mut balance: HashMap<_, i64> = HashMap::new();

@@ -174,11 +174,17 @@ fn validate(system: &System, options: &Options) -> Result<()> {
         [("emission", emission, f64::MAX, "[0, inf)"), ("reflectance", reflectance, 1.0, "[0, 1]")]
     {
         if values.len() != n * bands {
-            problems.push(format!("{name} has {} values; {n} patches of {bands} bands need {}", values.len(), n * bands));
+            problems.push(format!(
+                "{name} has {} values; {n} patches of {bands} bands need {}",
+                values.len(),
+                n * bands
+            ));
             continue;
         }
         let bad = values.iter().enumerate().filter(|(_, v)| !(**v >= 0.0 && **v <= limit)).take(8);
-        problems.extend(bad.map(|(k, v)| format!("patch {}: {name} {v} is outside {range} (band {})", k / bands, k % bands)));
+        problems.extend(
+            bad.map(|(k, v)| format!("patch {}: {name} {v} is outside {range} (band {})", k / bands, k % bands)),
+        );
     }
     Error::from_problems(problems)?;
     // Without a loss anywhere the light never dies: rho F has the eigenvalue 1.

@@ -23,7 +23,8 @@ pub(super) fn solve(system: &System, run: &mut Run) -> Result<Vec<f64>> {
     loop {
         let power = |i: usize| area(i) * unshot[i * bands..][..bands].iter().sum::<f64>();
         // The lowest number among equals, so that the order of shots is the same every time.
-        let brightest = (0..n).map(|i| (i, power(i))).fold((0, -1.0), |best, next| if next.1 > best.1 { next } else { best }).0;
+        let brightest =
+            (0..n).map(|i| (i, power(i))).fold((0, -1.0), |best, next| if next.1 > best.1 { next } else { best }).0;
         let range = brightest * bands..(brightest + 1) * bands;
         let amount = unshot[range.clone()].to_vec();
         radiosity[range.clone()].iter_mut().zip(&amount).for_each(|(b, r)| *b += r);
@@ -43,6 +44,7 @@ pub(super) fn solve(system: &System, run: &mut Run) -> Result<Vec<f64>> {
 /// Shown as B_i + rho_i ambient.
 pub fn ambient(areas: &[f64], unshot: &[f64], reflectance: &[f64], bands: usize) -> Vec<f64> {
     let total: f64 = areas.iter().sum();
-    let mean = |x: &[f64], b: usize| areas.iter().enumerate().map(|(i, area)| area * x[i * bands + b]).sum::<f64>() / total;
+    let mean =
+        |x: &[f64], b: usize| areas.iter().enumerate().map(|(i, area)| area * x[i * bands + b]).sum::<f64>() / total;
     (0..bands).map(|b| mean(unshot, b) / (1.0 - mean(reflectance, b))).collect()
 }

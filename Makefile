@@ -1,0 +1,52 @@
+# Two commands are enough on a machine with Rust and Python 3.10 or later: `make demo` and `make test`.
+# Everything goes into a virtual environment inside the checkout.
+
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: demo test test-rust test-python lint bench clean
+
+demo: .venv/demo
+	$(BIN)/radiosity demo --output out
+
+test: lint test-rust test-python
+
+test-rust:
+	cargo test --quiet
+
+test-python: .venv/test
+	$(BIN)/python -m pytest
+
+lint: .venv/test
+	cargo fmt --check
+	cargo clippy --quiet --all-targets --features python -- --deny warnings
+	RUSTDOCFLAGS="--deny warnings" cargo doc --quiet --no-deps
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m mypy.stubtest radiosity._core
+
+bench: .venv/test
+	cargo bench --quiet
+	for bench in benches/*.py; do $(BIN)/python $$bench || exit 1; done
+
+# The environment is made anew when what it is built from has changed.
+SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find src python -name '*.rs' -o -name '*.py' -o -name '*.pyi')
+
+.venv/demo: $(SOURCES) | .venv/bin/python
+	sh tests/install_llvm.sh
+	$(PIP) '.[mitsuba]' || (echo "Mitsuba cannot be installed here: the demo goes without it"; $(PIP) .)
+	touch $@
+
+.venv/test: $(SOURCES) | .venv/bin/python
+	sh tests/install_llvm.sh
+	$(PIP) '.[test,mitsuba]'
+	touch $@
+
+.venv/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or later is needed")'
+	$(PYTHON) -m venv .venv
+
+clean:
+	rm -rf .venv target out

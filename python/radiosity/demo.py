@@ -1,0 +1,102 @@
+"""The demonstration: from a mesh in a file to a validated picture.
+
+Loads the Cornell box that the package ships, solves it, writes a picture, and holds the numbers against a converged
+path tracer: stored results of Mitsuba, and Mitsuba itself, timed, where it is installed.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib.resources import as_file, files
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from .arrays import FloatArray
+from .load import load
+from .mitsuba import reference_radiosity, variant
+from .render import Camera, render, save_image
+from .scene import Scene
+from .scenes import cornell_box_view
+from .solve import solve
+
+# Paths of the run that times Mitsuba: enough for its noise to be well above that of the stored reference.
+_MITSUBA_PATHS = 1 << 21
+
+
+def relative_error(scene: Scene, radiosity: FloatArray, reference: FloatArray) -> float:
+    """Area-weighted RMS of the difference, over that of the reflected radiosity B - E of the reference.
+
+    Leaving the emission in would let a bright lamp hide the error. All bands together.
+    """
+    area = scene.areas[:, None]
+    difference = np.sum(area * (radiosity - reference) ** 2)
+    return float(np.sqrt(difference / np.sum(area * (reference - scene.emission) ** 2)))
+
+
+def run(folder: str | os.PathLike[str], tolerance: float, with_mitsuba: bool) -> str:
+    """Runs the demonstration, writes ``cornell_box.png`` into ``folder`` and returns the table.
+
+    Args:
+        folder: made if it does not exist.
+        tolerance: of :func:`radiosity.solve`.
+        with_mitsuba: time Mitsuba, if it is installed.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    started = perf_counter()
+    with as_file(files("radiosity") / "data" / "cornell_box.glb") as path:
+        scene = load(path)
+    loaded = perf_counter()
+    solution = solve(scene, tolerance)
+    solved = perf_counter()
+    image = render(solution, Camera(**cornell_box_view()), 512, 512)  # type: ignore[arg-type]
+    picture = folder / "cornell_box.png"
+    save_image(picture, image)
+    finished = perf_counter()
+
+    report = solution.report
+    audit = report.audit
+    assert audit is not None  # a scene has areas
+    with as_file(files("radiosity") / "data" / "cornell_box_reference.npz") as path, np.load(path) as data:
+        reference, noise, version = data["radiosity"], data["stderr"], str(data["mitsuba_version"])
+    error = relative_error(scene, solution.radiosity, reference)
+    noise_part = relative_error(scene, reference + noise, reference)
+    rows = [
+        ("patches", f"{scene.n_patches}, {scene.bands} bands"),
+        ("load the mesh", f"{loaded - started:.2f} s"),
+        ("form factors", f"{report.seconds['form factors']:.2f} s, {report.segments:,} visibility segments"),
+        ("solve", f"{report.seconds['solve']:.2f} s, {report.steps} sweeps of Gauss-Seidel"),
+        ("picture", f"{finished - solved:.2f} s, 512 x 512"),
+        ("from file to picture", f"{finished - started:.2f} s"),
+        ("row error of F", f"{report.row_error:.1e} (estimate of max_i sum_j |dF_ij|)"),
+        ("energy imbalance", f"{audit.imbalance:.1e} of what is emitted"),
+        (
+            "error on these patches",
+            f"{100 * solution.error_estimate:.2f} % (estimate; {100 * tolerance:g} % was asked)",
+        ),
+        ("error against Mitsuba", f"{100 * error:.2f} % of B - E, discretisation included"),
+        ("noise of that reference", f"{100 * noise_part:.2f} % (Mitsuba {version}, stored)"),
+        ("Mitsuba to that error", _mitsuba_time(scene, reference, error) if with_mitsuba else "not asked for"),
+        ("picture written to", str(picture)),
+    ]
+    return "\n".join(f"{name:24s} {value}" for name, value in rows)
+
+
+def _mitsuba_time(scene: Scene, reference: FloatArray, error: float) -> str:
+    """What Mitsuba needs for the same error: its error falls like 1 / sqrt(time), so one run tells."""
+    try:
+        name = variant()
+        # The first call compiles the kernels; the second is the one to time.
+        reference_radiosity(scene, _MITSUBA_PATHS // 16, seed=1)
+        start = perf_counter()
+        estimate, _ = reference_radiosity(
+            scene, _MITSUBA_PATHS if name != "scalar_rgb" else _MITSUBA_PATHS // 8, seed=2
+        )
+        seconds = perf_counter() - start
+    except ImportError as missing:
+        return f"not measured: {missing}"
+    reached = relative_error(scene, estimate, reference)
+    needed = seconds * (reached / error) ** 2
+    return f"{needed:.2f} s ({name}; {100 * reached:.2f} % in {seconds:.2f} s, scaled)"

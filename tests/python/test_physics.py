@@ -1,0 +1,78 @@
+"""Physics on random closed scenes: reciprocity, conservation, the furnace, energy, and invariance."""
+
+import numpy as np
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import radiosity as rad
+
+# Building and solving a scene takes up to a second on a busy machine.
+SLOW = settings(deadline=None, max_examples=12, derandomize=True)
+TOLERANCE = 1e-2
+
+
+@st.composite
+def rooms(draw):
+    """A closed room with a few boxes in it: a distorted outer box facing inward, boxes facing outward."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    outer = trimesh.creation.box(extents=rng.uniform(4, 8, 3))
+    outer.vertices = outer.vertices * (1 + 0.1 * rng.uniform(-1, 1, (8, 1)))
+    outer.invert()
+    parts = [outer]
+    for _ in range(draw(st.integers(0, 2))):
+        inner = trimesh.creation.box(extents=rng.uniform(0.2, 0.8, 3))
+        inner.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+        # Boxes reach 0.7 from their centres: they cut neither into each other nor into the walls.
+        inner.apply_translation([(-0.8 if len(parts) == 1 else 0.8), *rng.uniform(-0.2, 0.2, 2)])
+        parts.append(inner)
+    mesh = trimesh.util.concatenate(parts)
+    return rad.Scene(mesh.vertices, mesh.faces).subdivide(1.5)
+
+
+@given(rooms())
+@SLOW
+def test_reciprocity_is_exact_and_rows_sum_to_one(scene):
+    F = rad.form_factors(scene, tolerance=TOLERANCE)
+    matrix = F.toarray()
+    assert (matrix >= 0).all()
+    exchange = scene.areas[:, None] * matrix
+    assert np.allclose(exchange, exchange.T, rtol=4 * np.finfo(float).eps, atol=0)
+    # The estimate is a sum of standard errors, in which those of many pairs cancel: a row is hardly ever further off.
+    assert np.abs(F.remainder).max() <= max(TOLERANCE, F.error_estimate)
+
+
+@given(rooms(), st.floats(0.0, 0.95), st.floats(1e-30, 1e30))
+@SLOW
+def test_furnace(scene, rho, emission):
+    F = rad.form_factors(scene, tolerance=TOLERANCE)
+    solution = rad.solve_system(F, emission, rho, tolerance=1e-9)
+    # An error of TOLERANCE in a row counts once a bounce.
+    assert np.allclose(solution.radiosity, emission / (1 - rho), rtol=TOLERANCE / (1 - rho), atol=0)
+
+
+@given(rooms(), st.integers(0, 2**32 - 1))
+@SLOW
+def test_energy_is_conserved(scene, seed):
+    rng = np.random.default_rng(seed)
+    n = scene.n_patches
+    F = rad.form_factors(scene, tolerance=TOLERANCE)
+    emission = rng.random((n, 2)) * (rng.random((n, 1)) < 0.2)
+    solution = rad.solve_system(F, emission, rng.uniform(0, 0.95, (n, 2)), method="gmres", tolerance=1e-10)
+    audit = solution.report.audit
+    assert audit.imbalance <= 1e-12
+    # Closed: what leaves is the error of the rows.
+    assert (np.abs(audit.left) <= TOLERANCE * (scene.areas @ solution.radiosity) + 1e-300).all()
+
+
+@given(rooms(), st.floats(-6, 6), st.integers(0, 2**32 - 1))
+@SLOW
+def test_moving_scaling_and_renumbering_change_nothing(scene, exponent, seed):
+    rng = np.random.default_rng(seed)
+    rotation = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    order = rng.permutation(scene.n_patches)
+    moved = rad.Scene(10.0**exponent * (scene.vertices @ rotation.T + rng.uniform(-10, 10, 3)), scene.faces[order])
+    F, G = (rad.form_factors(s, tolerance=TOLERANCE).toarray() for s in (scene, moved))
+    # The segments of a pair depend on its numbers, so partly hidden pairs differ by the sampling: both rows are within
+    # the tolerance of the same truth.
+    assert np.abs(F[np.ix_(order, order)] - G).sum(axis=1).max() <= 2 * TOLERANCE

@@ -1,0 +1,150 @@
+"""Pictures: known radiance, orientation, shading, files."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import radiosity as rad
+from radiosity.render import to_srgb
+
+
+@pytest.fixture(scope="module")
+def lit_square():
+    """A unit square at z = 0 that faces up, its left half bright (radiosity 2 pi), its right half dim (pi)."""
+    vertices = [[0, 0, 0], [0.5, 0, 0], [1, 0, 0], [0, 1, 0], [0.5, 1, 0], [1, 1, 0]]
+    faces = [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]]
+    scene = rad.Scene(vertices, faces, reflectance=0.0, emission=np.pi * np.array([[2.0], [2.0], [1.0], [1.0]]))
+    return rad.solve(scene)
+
+
+DOWN = rad.Camera((0.5, 0.5, 2.0), (0.5, 0.5, 0.0), up=(0, 1, 0), fov=30.0)
+
+
+@pytest.mark.parametrize("shading", ["flat", "smooth"])
+def test_radiance_is_radiosity_over_pi_and_x_runs_to_the_right(lit_square, shading):
+    image = rad.render(lit_square, DOWN, 40, 30, shading=shading)
+    assert image.shape == (30, 40, 1)
+    # The middle of each half, away from its borders: exact up to a division by pi.
+    assert np.allclose(image[10:20, 12:19], 2.0, rtol=1e-12)
+    assert np.allclose(image[10:20, 21:28], 1.0, rtol=1e-12)
+
+
+def test_row_0_is_on_top(lit_square):
+    # Seen from above with +x up: the dim half is on top.
+    image = rad.render(lit_square, rad.Camera((0.5, 0.5, 2.0), (0.5, 0.5, 0.0), up=(1, 0, 0), fov=30.0), 32, 32)
+    assert image[10, 16, 0] == pytest.approx(1.0)
+    assert image[22, 16, 0] == pytest.approx(2.0)
+
+
+def test_mean_over_the_image_is_the_solid_angle(lit_square):
+    # The square fills (0.5 / 2 / tan 15 deg)^2 of the picture; jittered pixels at its border average to that.
+    image = rad.render(lit_square, DOWN, 200, 200)
+    covered = (0.25 / np.tan(np.radians(15))) ** 2
+    # 800 border pixels of 16 samples: a standard error of 0.5 * sqrt(800) / sqrt(16) / 40000 = 1e-4.
+    assert image.mean() == pytest.approx(1.5 * covered, rel=1e-3)
+
+
+def test_backs_and_empty_space_are_black(lit_square):
+    with pytest.raises(ValueError, match="sees only the backs of patches"):
+        rad.render(lit_square, rad.Camera((0.5, 0.5, -2.0), (0.5, 0.5, 0.0), up=(0, 1, 0)), 8, 8)
+    with pytest.raises(ValueError, match="looks at nothing"):
+        rad.render(lit_square, rad.Camera((0.5, 0.5, 2.0), (0.5, 0.5, 4.0), up=(0, 1, 0)), 8, 8)
+    image = rad.render(lit_square, rad.Camera((0.5, 0.5, 2.0), (0.5, 0.5, 0.0), up=(0, 1, 0), fov=90.0), 32, 32)
+    assert (image[0] == 0).all()
+
+
+def test_smooth_shading_is_continuous_where_flat_is_not():
+    solution = rad.solve(rad.scenes.cornell_box(max_edge=0.2), tolerance=0.05)
+    camera = rad.Camera((0.278, 0.273, -0.8), (0.278, 0.273, 0.0), up=(0, 1, 0), fov=39.3)
+    flat, smooth = (rad.render(solution, camera, 96, 96, shading=shading) for shading in ("flat", "smooth"))
+    wall = np.s_[25:40, 30:65]  # the back wall above the blocks
+
+    def steps(image):
+        return np.abs(np.diff(image[wall], axis=1)).max()
+
+    assert steps(smooth) < 0.3 * steps(flat)
+    # Interpolation moves light about but hardly changes how much there is.
+    assert smooth[wall].mean() == pytest.approx(flat[wall].mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_the_same_bits_for_any_number_of_threads(lit_square, threads):
+    expected = rad.render(lit_square, DOWN, 33, 17)
+    assert np.array_equal(rad.render(lit_square, DOWN, 33, 17, threads=threads), expected)
+
+
+def test_bad_arguments_are_named(lit_square):
+    with pytest.raises(ValueError, match="'flat', 'smooth'"):
+        rad.render(lit_square, DOWN, shading="glossy")
+    with pytest.raises(ValueError, match="width 0 is outside"):
+        rad.render(lit_square, DOWN, width=0)
+    with pytest.raises(TypeError, match="height must be an integer"):
+        rad.render(lit_square, DOWN, height=1.5)
+    with pytest.raises(ValueError, match="knows no geometry"):
+        rad.render(rad.solve_system(np.zeros((1, 1)), 1.0, 0.5), DOWN)
+    with pytest.raises(TypeError, match=r"radiosity\.Solution"):
+        rad.render(lit_square.scene, DOWN)
+    for bad, message in [
+        ({"target": (0, 0, 0)}, "same point"),
+        ({"up": (0, 0, 2)}, "parallel to the view"),
+        ({"fov": 180.0}, r"outside \(0, 180\)"),
+        ({"origin": (0, 0, np.nan)}, "not finite"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            rad.render(lit_square, rad.Camera(**{"origin": (0, 0, 0), "target": (0, 0, 1), "up": (0, 1, 0)} | bad))
+
+
+def test_png_holds_srgb(tmp_path):
+    image = np.zeros((2, 3, 3))
+    image[0, 0] = (1.0, 0.5, 0.0)
+    image[1, 2] = 2.0
+    path = tmp_path / "picture.png"
+    rad.save_image(path, image, exposure=1.0)
+    Image = pytest.importorskip("PIL.Image")
+    with Image.open(path) as opened:
+        pixels = np.asarray(opened)
+    # IEC 61966-2-1: 0.5 is 188 of 255; what is brighter than white is white.
+    assert pixels.tolist()[0][0] == [255, 188, 0]
+    assert pixels.tolist()[1][2] == [255, 255, 255]
+    assert to_srgb(np.zeros((1, 1, 1))).tolist() == [[[0]]]
+
+
+def test_exr_holds_the_numbers(tmp_path):
+    OpenEXR = pytest.importorskip("OpenEXR")
+    image = np.random.default_rng(0).random((5, 7, 3)) * 100
+    path = tmp_path / "picture.exr"
+    rad.save_image(path, image)
+    with OpenEXR.File(str(path)) as file:
+        pixels = file.channels()["RGB"].pixels
+    # Stored as float32.
+    assert np.allclose(pixels, image, rtol=1e-7)
+    rad.save_image(tmp_path / "grey.exr", image[..., :1])
+
+
+def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
+    path = tmp_path / "picture.png"
+    path.write_bytes(b"old")
+    for image, message in [
+        (np.zeros((2, 2, 5)), "1 band .* or 3"),
+        (np.zeros((2, 2)), "must have shape"),
+        (np.full((2, 2, 3), np.nan), "not finite"),
+        (np.zeros((0, 2, 3)), "must have shape"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            rad.save_image(path, image)
+    with pytest.raises(ValueError, match=r"formats are \('.png', '.exr'\)"):
+        rad.save_image(tmp_path / "picture.jpg", np.zeros((2, 2, 3)))
+    with pytest.raises(ValueError, match="exposure"):
+        rad.save_image(path, np.zeros((2, 2, 3)), exposure=0.0)
+    with pytest.raises(FileNotFoundError, match="no such folder"):
+        rad.save_image(tmp_path / "missing" / "picture.png", np.zeros((2, 2, 3)))
+
+    def fail(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(sys.modules["radiosity.render"], "_write_png", fail)
+    with pytest.raises(OSError, match="disk full"):
+        rad.save_image(path, np.zeros((2, 2, 3)))
+    assert path.read_bytes() == b"old"
+    assert [file.name for file in tmp_path.iterdir()] == ["picture.png"]

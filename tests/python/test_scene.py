@@ -1,0 +1,136 @@
+"""Scene: what goes in comes out, frozen; what is wrong is named; rays."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import radiosity as rad
+
+VERTICES = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+FACES = [[0, 1, 2], [0, 2, 3]]
+
+
+def test_arrays_and_shapes():
+    scene = rad.Scene(VERTICES, FACES, reflectance=[0.1, 0.2, 0.3], emission=[[1.0], [2.0]], names=["a", "b"])
+    assert (scene.n_patches, scene.bands) == (2, 3)
+    assert scene.areas.tolist() == [0.5, 0.5]
+    assert scene.normals.tolist() == [[0, 0, 1], [0, 0, 1]]
+    assert np.allclose(scene.centroids[0], [2 / 3, 1 / 3, 0])
+    assert scene.reflectance.tolist() == [[0.1, 0.2, 0.3]] * 2
+    assert scene.emission.tolist() == [[1.0] * 3, [2.0] * 3]
+    assert scene.names == ("a", "b")
+    assert scene.faces.dtype == np.int64
+    with pytest.raises(ValueError, match="read-only"):
+        scene.vertices[0, 0] = 5
+
+
+def test_it_does_not_keep_the_callers_arrays():
+    vertices = np.array(VERTICES, float)
+    scene = rad.Scene(vertices, FACES)
+    vertices[:] = 7
+    assert scene.vertices.tolist() == VERTICES
+
+
+def test_it_survives_pickling():
+    scene = rad.Scene(VERTICES, FACES, 0.3, 1.5, sides="both").subdivide(0.6)
+    copy = pickle.loads(pickle.dumps(scene))
+    for name in ("vertices", "faces", "reflectance", "emission", "parent"):
+        assert np.array_equal(getattr(copy, name), getattr(scene, name))
+
+
+def test_subdivide_keeps_materials_area_and_names():
+    scene = rad.Scene(VERTICES, FACES, reflectance=[[0.1], [0.2]], emission=[[0.0], [3.0]], names=["a", "b"])
+    fine = scene.subdivide(0.3)
+    corners = fine.vertices[fine.faces]
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= 0.3
+    assert fine.n_patches > 20
+    for i in (0, 1):
+        assert fine.areas[fine.parent == i].sum() == pytest.approx(0.5, rel=1e-14)
+    assert np.array_equal(fine.reflectance, scene.reflectance[fine.parent])
+    assert [fine.names[k] for k in (0, -1)] == ["a", "b"]
+    assert scene.parent is None
+    for bad in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="max_edge"):
+            scene.subdivide(bad)
+
+
+def test_every_problem_is_reported_at_once():
+    vertices = [*VERTICES, [2, 0, 0], [np.nan, 0, 0]]
+    with pytest.raises(ValueError, match="vertex 5 is") as caught:
+        rad.Scene(vertices, [[0, 1, 2], [0, 1, 9], [-1, 0, 2]])
+    text = str(caught.value)
+    assert "patch 1: vertex index 9 is outside 0 .. 6" in text
+    assert "patch 2: vertex index -1" in text
+    with pytest.raises(ValueError, match=r"patch 1: area 0e0 m\^2 is zero") as caught:
+        rad.Scene(
+            [*VERTICES, [2, 0, 0]], [[0, 1, 2], [0, 1, 4]], reflectance=[[1.2], [-0.1]], emission=[[-1], [np.inf]]
+        )
+    text = str(caught.value)
+    for line in (
+        "patch 0: reflectance 1.2 is outside [0, 1] (band 0)",
+        "patch 1: reflectance -0.1",
+        "patch 0: emission -1 is outside [0, inf) (band 0)",
+        "patch 1: emission inf",
+    ):
+        assert line in text
+
+
+def test_many_problems_of_a_kind_are_counted():
+    with pytest.raises(ValueError, match="and 92 more of this kind"):
+        rad.Scene(VERTICES, [[0, 1, 2]] * 100, reflectance=2.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"faces": []}, ValueError, "no patches"),
+        ({"faces": [[0.0, 1.0, 2.0]]}, TypeError, "faces must hold integers"),
+        ({"faces": [[0, 1, 2, 3]]}, ValueError, "faces must have shape"),
+        ({"vertices": [[0, 0]]}, ValueError, "vertices must have shape"),
+        ({"vertices": "cube"}, TypeError, "vertices must hold real numbers"),
+        ({"reflectance": np.full((3, 1), 0.5)}, ValueError, "reflectance must be a scalar"),
+        ({"reflectance": [0.5, 0.5], "emission": [1, 1, 1]}, ValueError, "disagree on the number of bands"),
+        ({"sides": "back"}, ValueError, "'front', 'both'"),
+        ({"names": ["one"]}, ValueError, "names must hold 2"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, error, message):
+    with pytest.raises(error, match=message):
+        rad.Scene(**{"vertices": VERTICES, "faces": FACES} | arguments)
+
+
+def test_reflectance_1_everywhere_in_a_closed_scene_is_refused():
+    cube = rad.scenes.furnace(reflectance=0.5)
+    with pytest.raises(ValueError, match="there is no finite solution"):
+        rad.Scene(cube.vertices, cube.faces, reflectance=1.0)
+    # An open scene loses light, and one absorbing patch is enough.
+    rad.Scene(cube.vertices, cube.faces[1:], reflectance=1.0)
+    rho = np.ones((cube.n_patches, 1))
+    rho[3] = 0.9
+    rad.Scene(cube.vertices, cube.faces, reflectance=rho)
+
+
+def test_intersect():
+    scene = rad.Scene(VERTICES, FACES)
+    hits = scene.intersect([[0.75, 0.25, 2], [0.25, 0.75, -1], [5, 5, 1]], [[0, 0, -2], [0, 0, 1], [0, 0, -1]])
+    assert hits.patch.tolist() == [0, 1, -1]
+    assert hits.distance.tolist() == [1.0, 1.0, np.inf]
+    weights = np.array([1 - hits.barycentric[0].sum(), *hits.barycentric[0]])
+    assert np.allclose(weights @ scene.vertices[scene.faces[0]], [0.75, 0.25, 0])
+    assert np.isnan(hits.barycentric[2]).all()
+    with pytest.raises(ValueError, match="ray 0: its direction is zero"):
+        scene.intersect([[0, 0, 1]], [[0, 0, 0]])
+    with pytest.raises(ValueError, match=r"ray 1: its origin .* is not finite"):
+        scene.intersect([[0, 0, 1], [0, np.inf, 1]], [[0, 0, 1], [0, 0, 1]])
+    with pytest.raises(ValueError, match="as many"):
+        scene.intersect([[0, 0, 1]], [[0, 0, 1], [0, 0, 1]])
+
+
+def test_occluded():
+    scene = rad.Scene(VERTICES, FACES)
+    above, below, beside = [0.5, 0.4, 1], [0.5, 0.4, -1], [2, 0.4, -1]
+    on = [0.5, 0.4, 0]
+    blocked = scene.occluded([above, below, above, above, on], [below, above, beside, on, below])
+    # Both directions are blocked; the ends of a segment do not block it.
+    assert blocked.tolist() == [True, True, False, False, False]
