@@ -28,7 +28,6 @@ lint: .venv/test
 	$(BIN)/python -m mypy.stubtest radiosity._core
 
 bench: .venv/test
-	cargo bench --quiet
 	for bench in benches/*.py; do $(BIN)/python $$bench || exit 1; done
 
 # The environment is made anew when what it is built from has changed.

@@ -6,6 +6,7 @@ a closed scene sum to 1; A_i F_ij = A_j F_ji. F does not depend on the unit of l
 
 from __future__ import annotations
 
+import warnings
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -90,7 +91,25 @@ def form_factors(
     Raises:
         ValueError: an unknown method, a tolerance out of range.
         MemoryError: the dense exchange would not fit, with the estimate; nothing has been computed then.
+
+    Warns:
+        UserWarning: the tolerance was not met by 65,536 segments a pair.
     """
+    F = form_factors_as_reached(scene, tolerance, method, seed, threads, progress)
+    if F.error_estimate > tolerance:
+        warnings.warn(
+            f"the row error of the form factors is about {F.error_estimate:.2g}, above the tolerance {tolerance:g}: "
+            "partly hidden patches are too large for it; subdivide the scene or allow more",
+            UserWarning,
+            stacklevel=2,
+        )
+    return F
+
+
+def form_factors_as_reached(
+    scene: Scene, tolerance: float, method: str, seed: int, threads: int | None, progress: Progress
+) -> FormFactors:
+    """Like :func:`form_factors`, for callers that judge the error estimate themselves."""
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}")
     if method not in METHODS:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -14,7 +15,7 @@ import numpy as np
 
 from . import _core
 from .arrays import FloatArray, per_patch, read_only, real_array, shaped, thread_count
-from .form_factors import FormFactors, form_factors
+from .form_factors import FormFactors, form_factors_as_reached
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .scene import Scene
@@ -166,6 +167,9 @@ def solve(
     Raises:
         ValueError: an unknown method, a tolerance out of range, or a scene without finite solution.
         MemoryError: the form factors would not fit, with the estimate; nothing has been computed then.
+
+    Warns:
+        UserWarning: the tolerance was not met, or no bound is known; ``.error_estimate`` says what was reached.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}")
@@ -179,7 +183,7 @@ def solve(
     segments = 0
     for attempt in range(_ATTEMPTS):
         start = perf_counter()
-        F = form_factors(scene, max(min(row_tolerance, 0.5), 1e-8), seed=seed, threads=threads, progress=progress)
+        F = form_factors_as_reached(scene, max(min(row_tolerance, 0.5), 1e-8), "auto", seed, threads, progress)
         seconds["form factors"] += perf_counter() - start
         segments += F.segments
         solution = solve_system(
@@ -190,6 +194,13 @@ def solve(
         if reached <= 1.0 or attempt == _ATTEMPTS - 1 or not np.isfinite(reached):
             break
         row_tolerance /= 1.25 * reached
+    if solution.error_estimate > tolerance:
+        warnings.warn(
+            f"the error of the solution on these patches is about {solution.error_estimate:.2g}, above the tolerance "
+            f"{tolerance:g}",
+            UserWarning,
+            stacklevel=2,
+        )
     return dataclasses.replace(
         solution, report=dataclasses.replace(solution.report, seconds=seconds, segments=segments)
     )

@@ -65,21 +65,23 @@ def test_form_factors_do_not_depend_on_the_unit_of_length(pairs, exponent):
     assert np.array_equal(scaled, rad.pair_form_factors(pairs["a"], pairs["b"], tolerance=1e-4))
 
 
-def test_partial_occlusion_meets_the_row_tolerance():
-    case = CASES["obstructed"][0]
-    # The case's squares and obstacle, each cut into two triangles, the obstacle with both its sides.
+@pytest.fixture(scope="module")
+def obstructed():
+    """The obstructed case's squares and obstacle, each cut into two triangles, the obstacle with both its sides."""
     corners = np.array([*SQUARE, [0, 0, 1], [0, 1, 1], [1, 1, 1], [1, 0, 1]], float)
     obstacle = np.array([[0.1, 0.1, 0.5], [0.6, 0.1, 0.5], [0.6, 0.6, 0.5], [0.1, 0.6, 0.5]])
     quads = np.arange(12).reshape(3, 4)
     faces = np.concatenate([[[a, b, c], [a, c, d]] for a, b, c, d in quads])
-    faces = np.concatenate([faces, faces[4:, ::-1]])
-    scene = rad.Scene(np.concatenate([corners, obstacle]), faces)
-    for tolerance in (3e-2, 1e-2, 3e-3):
-        F = rad.form_factors(scene, tolerance=tolerance)
-        # All four patches are halves: the mean of the two rows is the factor from square to square.
-        value = F.toarray()[:2, 2:4].sum(axis=1).mean()
-        assert abs(value - case["F_ab"]) <= tolerance
-        assert F.error_estimate <= tolerance
+    return rad.Scene(np.concatenate([corners, obstacle]), np.concatenate([faces, faces[4:, ::-1]]))
+
+
+@pytest.mark.parametrize("tolerance", [3e-2, 1e-2, 3e-3])
+def test_partial_occlusion_meets_the_row_tolerance(obstructed, tolerance):
+    F = rad.form_factors(obstructed, tolerance=tolerance)
+    # All four patches are halves: the mean of the two rows is the factor from square to square.
+    value = F.toarray()[:2, 2:4].sum(axis=1).mean()
+    assert abs(value - CASES["obstructed"][0]["F_ab"]) <= tolerance
+    assert F.error_estimate <= tolerance
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6])
@@ -200,6 +202,12 @@ def test_bad_arguments_are_named():
         F @ np.ones(3)
     with pytest.raises(IndexError, match="row 99"):
         F.row(99)
+
+
+def test_a_tolerance_that_is_not_met_is_told(obstructed):
+    with pytest.warns(UserWarning, match="above the tolerance 1e-06"):
+        F = rad.form_factors(obstructed, tolerance=1e-6)
+    assert F.error_estimate > 1e-6
 
 
 def test_too_large_an_operator_is_refused_before_any_work(monkeypatch):
