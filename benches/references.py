@@ -6,9 +6,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "python"))
 
-import references
-
 import radiosity as rad
+import references
 
 
 def main() -> None:

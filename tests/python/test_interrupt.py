@@ -1,5 +1,6 @@
 """Ctrl-C and progress: long work can be watched and stopped."""
 
+import contextlib
 import os
 import signal
 import struct
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from itertools import pairwise
 
 import pytest
 
@@ -17,7 +19,7 @@ def test_progress_reports_rise_to_the_total():
     seen = []
     rad.form_factors(rad.scenes.cornell_box(max_edge=0.2), progress=lambda done, total: seen.append((done, total)))
     assert seen[-1][0] == seen[-1][1] > 0
-    assert all(a[0] <= b[0] for a, b in zip(seen, seen[1:], strict=False))
+    assert all(a[0] <= b[0] for a, b in pairwise(seen))
 
 
 def test_an_exception_in_the_callback_stops_the_work_and_is_passed_on():
@@ -86,11 +88,10 @@ def test_a_progress_bar_shows_in_a_terminal_and_nowhere_else():
     process = subprocess.Popen([sys.executable, "-c", program], stderr=terminal)
     os.close(terminal)
     shown = b""
-    while b"%|" not in shown:
-        try:
+    # Reading fails once the process has ended and the terminal is gone.
+    with contextlib.suppress(OSError):
+        while b"%|" not in shown:
             shown += os.read(main, 4096)
-        except OSError:  # the process has ended and the terminal is gone
-            break
     process.kill()
     process.wait()
     os.close(main)
