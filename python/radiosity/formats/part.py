@@ -1,0 +1,92 @@
+"""A mesh in its place, on its way from a file or from trimesh into a scene."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..arrays import FloatArray, IntArray
+from ..materials import DEFAULT_REFLECTANCE, Surface, surface_of_mesh
+from ..scene import Scene
+
+
+@dataclass(frozen=True)
+class Part:
+    """One mesh in its place: (v, 3) vertices in m, (f, 3) faces, and the surface of its f patches."""
+
+    name: str
+    vertices: FloatArray
+    faces: IntArray
+    surface: Surface
+
+
+class MeshError(ValueError):
+    """A mesh that cannot become a scene, for a reason that reads well; what goes wrong in a library is reworded."""
+
+
+def triangles_only(geometry: Any, name: str) -> Any:
+    """Return the geometry itself if it is a triangle mesh."""
+    import trimesh
+
+    if not isinstance(geometry, trimesh.Trimesh):
+        raise MeshError(f"{name!r} is a {type(geometry).__name__}: points and lines have no area; keep triangles only")
+    return geometry
+
+
+def part_of(name: str, mesh: Any, surface: Surface | None = None, matrix: FloatArray | None = None) -> Part:
+    """Return a trimesh mesh as a part, moved by `matrix` (4, 4); a mirroring one reverses the triangles."""
+    vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+    faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    if matrix is not None:
+        vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        if np.linalg.det(matrix[:3, :3]) < 0.0:
+            faces = faces[:, [0, 2, 1]]
+    return Part(name, vertices, faces, surface_of_mesh(mesh) if surface is None else surface)
+
+
+def joined_scene(
+    parts: Sequence[Part], reflectance: npt.ArrayLike | None = None, emission: npt.ArrayLike | None = None
+) -> Scene:
+    """Put all parts into one scene, in their order."""
+    if not any(len(part.faces) for part in parts):
+        raise MeshError("the mesh is empty: it holds no triangles")
+    offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    return Scene(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=True)]),
+        reflectance=_joined(parts, "reflectance", DEFAULT_REFLECTANCE) if reflectance is None else reflectance,
+        emission=_joined(parts, "emission", 0.0) if emission is None else emission,
+        names=[part.name for part in parts for _ in range(len(part.faces))],
+    )
+
+
+def _joined(parts: Sequence[Part], quantity: str, default: float) -> float | FloatArray:
+    """Join to (n, 3) values, the default where a part states none; the default alone, of any bands, where none does."""
+    values: list[FloatArray | None] = [getattr(part.surface, quantity) for part in parts]
+    if all(value is None for value in values):
+        return default
+    return np.concatenate(
+        [
+            np.full((len(part.faces), 3), default) if value is None else value
+            for part, value in zip(parts, values, strict=True)
+        ]
+    )
+
+
+def trimesh_scene(file: Path, data: bytes, **options: Any) -> Any:
+    """Let trimesh read the file, vertices and faces as they stand in it."""
+    import trimesh
+
+    return trimesh.load_scene(
+        io.BytesIO(data),
+        file_type=file.suffix.lower()[1:],
+        resolver=trimesh.resolvers.FilePathResolver(str(file.absolute())),
+        process=False,
+        **options,
+    )
