@@ -3,8 +3,6 @@
 //! Input is validated once, at the door, and every problem found is reported together: a user with a bad mesh wants
 //! the whole list, not the first line of it.
 
-use crate::solve::Step;
-
 /// The result of anything in this crate that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
@@ -26,25 +24,6 @@ pub enum Error {
         available: u64,
         /// What to do instead.
         remedy: String,
-    },
-
-    /// An iteration used up its steps before it reached its tolerance.
-    #[error(
-        "{method} stopped after {} steps at a relative residual of {residual:.3e}, above the tolerance {tolerance:.3e}; \
-         allow more iterations or choose another method (\"direct\" always ends)",
-        history.len()
-    )]
-    Convergence {
-        /// Name of the method.
-        method: &'static str,
-        /// Relative residual reached.
-        residual: f64,
-        /// Relative residual asked for.
-        tolerance: f64,
-        /// The radiosities reached so far, one row of bands a patch.
-        radiosity: Vec<f64>,
-        /// One entry a step.
-        history: Vec<Step>,
     },
 
     /// The caller asked to stop.

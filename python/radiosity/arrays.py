@@ -12,6 +12,9 @@ import numpy.typing as npt
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
+# No machine has more cores, and a thousand idle threads cost a second to start.
+MOST_THREADS = 1024
+
 Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 
@@ -73,24 +76,23 @@ def per_patch(n: int, **quantities: Any) -> list[FloatArray]:
     return [np.ascontiguousarray(np.broadcast_to(array, (n, bands))) for array in arrays]
 
 
+def whole_number(name: str, value: Any, least: int, most: int) -> int:
+    """``value`` as an int; ``TypeError`` when it is no integer, ``ValueError`` when outside ``least`` .. ``most``."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name} must be an integer, not {type(value).__name__}")
+    if not least <= value <= most:
+        raise ValueError(f"{name} {value} is outside {least} .. {most}")
+    return int(value)
+
+
 def thread_count(threads: int | None) -> int | None:
-    """``threads`` if it is None (all cores) or a positive integer, else ``TypeError`` or ``ValueError``."""
-    if threads is not None:
-        if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)):
-            raise TypeError(f"threads must be None (all cores) or an integer, not {type(threads).__name__}")
-        if threads < 1:
-            raise ValueError(f"threads must be None (all cores) or at least 1, not {threads}")
-        return int(threads)
-    return None
+    """``threads`` if it is None (all cores) or in 1 .. 1024, else ``TypeError`` or ``ValueError``."""
+    return None if threads is None else whole_number("threads", threads, 1, MOST_THREADS)
 
 
 def seed_number(seed: int) -> int:
     """``seed`` if it is an integer in [0, 2^64), else ``TypeError`` or ``ValueError``."""
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
-        raise TypeError(f"seed must be an integer, not {type(seed).__name__}")
-    if not 0 <= seed < 2**64:
-        raise ValueError(f"seed must be in [0, 2^64), not {seed}")
-    return int(seed)
+    return whole_number("seed", seed, 0, 2**64 - 1)
 
 
 def read_only(array: Array) -> Array:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from . import __version__
 from .demo import run as run_demo
+from .solution import ConvergenceError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    except (ValueError, MemoryError, OSError) as error:
+    except (ValueError, MemoryError, OSError, ImportError, ConvergenceError) as error:
         print(f"radiosity: {error}", file=sys.stderr)
         return 1
     return 0

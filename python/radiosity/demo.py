@@ -43,8 +43,6 @@ def run(folder: str | os.PathLike[str], tolerance: float, with_mitsuba: bool) ->
         tolerance: of :func:`radiosity.solve`.
         with_mitsuba: time Mitsuba, if it is installed.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     started = perf_counter()
     with as_file(files("radiosity") / "data" / "cornell_box.glb") as path:
         scene = load(path)
@@ -52,7 +50,8 @@ def run(folder: str | os.PathLike[str], tolerance: float, with_mitsuba: bool) ->
     solution = solve(scene, tolerance)
     solved = perf_counter()
     image = render(solution, Camera(**cornell_box_view()), 512, 512)  # type: ignore[arg-type]
-    picture = folder / "cornell_box.png"
+    picture = Path(folder) / "cornell_box.png"
+    picture.parent.mkdir(parents=True, exist_ok=True)
     save_image(picture, image)
     finished = perf_counter()
 
@@ -67,7 +66,7 @@ def run(folder: str | os.PathLike[str], tolerance: float, with_mitsuba: bool) ->
         ("patches", f"{scene.n_patches}, {scene.bands} bands"),
         ("load the mesh", f"{loaded - started:.2f} s"),
         ("form factors", f"{report.seconds['form factors']:.2f} s, {report.segments:,} visibility segments"),
-        ("solve", f"{report.seconds['solve']:.2f} s, {report.steps} sweeps of Gauss-Seidel"),
+        ("solve", f"{report.seconds['solve']:.2f} s, {report.steps} steps of GMRES"),
         ("picture", f"{finished - solved:.2f} s, 512 x 512"),
         ("from file to picture", f"{finished - started:.2f} s"),
         ("row error of F", f"{report.row_error:.1e} (estimate of max_i sum_j |dF_ij|)"),

@@ -6,6 +6,7 @@ a closed scene sum to 1; A_i F_ij = A_j F_ji. F does not depend on the unit of l
 
 from __future__ import annotations
 
+import operator
 import warnings
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -33,7 +34,8 @@ def form_factor(polygon_a: Any, polygon_b: Any, tolerance: float = 1e-8) -> floa
     Args:
         polygon_a: (k, 3) corners, counter-clockwise seen from the front.
         polygon_b: (l, 3) corners.
-        tolerance: relative, in [1e-8, 1).
+        tolerance: relative, in [1e-8, 1). Met by 99.9 % of pairs of all kinds, by the rest within a factor of 3. At
+            1e-6 and tighter, slivers of aspect above 1e3 and gaps below 1e-4 of the size may be off by more: rounding.
 
     Raises:
         ValueError: a polygon that is not planar, not convex, or without area; a tolerance out of range.
@@ -79,10 +81,10 @@ def form_factors(
 
     Args:
         scene: the patches.
-        tolerance: bound on sum over j of abs(dF_ij) for every row i, in [1e-8, 1). The unoccluded part is bounded
-            strictly; the visibility of partly hidden pairs is sampled by quasi-random segments until the standard
-            errors of the row add up to less than this (or 65,536 segments a pair are spent). What was reached is
-            ``.error_estimate``. No segments are cast where nothing can block.
+        tolerance: bound on sum over j of abs(dF_ij) for every row i, in [1e-8, 1). Two hundredths of it go to the
+            unoccluded kernels; the visibility of partly hidden pairs is sampled by quasi-random segments until the
+            errors to be expected in the row add up to less than the rest (or 65,536 segments a pair are spent). What
+            was reached is ``.error_estimate``. No segments are cast where nothing can block.
         method: ``"analytic"``, exact kernels times sampled visibility, stored densely; ``"auto"`` chooses.
         seed: of the quasi-random segments. The result is the same for any number of threads.
         threads: None for all cores.
@@ -99,7 +101,7 @@ def form_factors(
     if F.error_estimate > tolerance:
         warnings.warn(
             f"the row error of the form factors is about {F.error_estimate:.2g}, above the tolerance {tolerance:g}: "
-            "partly hidden patches are too large for it; subdivide the scene or allow more",
+            "partly hidden patches are too large for it; subdivide the scene or ask for a looser tolerance",
             UserWarning,
             stacklevel=2,
         )
@@ -185,9 +187,10 @@ class FormFactors:
 
     def row(self, i: int) -> FloatArray:
         """(n,) row i: where the light of patch i goes. Raises ``IndexError`` when there is no such patch."""
-        if not 0 <= i < self.shape[0]:
+        number = operator.index(i)
+        if not 0 <= number < self.shape[0]:
             raise IndexError(f"row {i} is outside 0 .. {self.shape[0]}")
-        return self._core.row(int(i))
+        return self._core.row(number)
 
     def toarray(self) -> FloatArray:
         """(n, n) plain array; needs 8 n^2 bytes. Raises ``MemoryError`` when they cannot be had."""

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
-from .arrays import FloatArray, real_array, shaped, thread_count
+from .arrays import FloatArray, real_array, shaped, thread_count, whole_number
+from .memory import available_bytes
 from .progress import Progress, reporter
 from .solution import Solution
 
@@ -77,21 +78,20 @@ def render(
     Raises:
         ValueError: an unknown shading, an empty image, or a camera that sees nothing or only backs (it stands in a
             wall).
+        MemoryError: the image would not fit.
 
     Sources:
         Gouraud 1971; Cohen & Greenberg 1985, section 7.
     """
     if not isinstance(solution, Solution):
         raise TypeError(f"solution must be a radiosity.Solution, not {type(solution).__name__}")
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera must be a radiosity.Camera, not {type(camera).__name__}")
     if solution.scene is None:
         raise ValueError("this solution was made from a plain matrix and knows no geometry; solve form_factors(scene)")
     if shading not in SHADINGS:
         raise ValueError(f"unknown shading {shading!r}; the shadings are {SHADINGS}")
-    for name, size in (("width", width), ("height", height)):
-        if isinstance(size, bool) or not isinstance(size, (int, np.integer)):
-            raise TypeError(f"{name} must be an integer, not {type(size).__name__}")
-        if not 1 <= size <= 65536:
-            raise ValueError(f"{name} {size} is outside 1 .. 65536 pixels")
+    width, height = (whole_number(name, size, 1, 1 << 20) for name, size in (("width", width), ("height", height)))
     with reporter(progress, "render") as report:
         return _core.render(
             solution.scene._core,
@@ -101,9 +101,10 @@ def render(
             camera.target,
             camera.up,
             float(camera.fov),
-            int(width),
-            int(height),
+            width,
+            height,
             shading == "smooth",
+            available_bytes(),
             thread_count(threads),
             report,
         )

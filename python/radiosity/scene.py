@@ -10,6 +10,7 @@ import numpy as np
 
 from . import _core
 from .arrays import FloatArray, IntArray, per_patch, read_only, shaped, thread_count, triangle_indices
+from .memory import available_bytes
 from .report import Report, report
 
 if TYPE_CHECKING:
@@ -174,7 +175,7 @@ class Scene:
             ValueError: ``max_edge`` is not positive.
             MemoryError: the result would be too large.
         """
-        core, parent = self._core.subdivide(float(max_edge))
+        core, parent = self._core.subdivide(float(max_edge), available_bytes())
         names = None if self.names is None else tuple(self.names[p] for p in parent.tolist())
         scene = Scene._from_core(core, names)
         scene.parent = read_only(parent)

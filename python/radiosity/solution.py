@@ -99,9 +99,9 @@ class Solution:
     """(n, b) standard error of B from the sampled visibility in F; None for a matrix that the user brought."""
     error_estimate: float
     """Estimated error of the reflected radiosity B - E (area-weighted RMS, relative, the worst band) against the exact
-    solution *on these patches*: iteration and sampled visibility. What patches of constant radiosity cannot show at
-    all, the discretisation error, is not in it; a finer mesh (:meth:`radiosity.Scene.subdivide`) lowers that. Infinite
-    where no bound on the iteration is known (a reflectance of 1)."""
+    solution *on these patches*: iteration, kernels and sampled visibility, followed through all bounces. What patches
+    of constant radiosity cannot show at all, the discretisation error, is not in it; a finer mesh
+    (:meth:`radiosity.Scene.subdivide`) lowers that. Infinite where the system has hardly any solution."""
     history: tuple[Step, ...]
     """One entry a step."""
     report: Report
@@ -123,6 +123,9 @@ class ConvergenceError(RuntimeError):
     def __init__(self, message: str, solution: Solution) -> None:
         super().__init__(message)
         self.solution = solution
+
+    def __reduce__(self) -> tuple[type[ConvergenceError], tuple[str, Solution]]:
+        return type(self), (str(self), self.solution)
 
     @property
     def history(self) -> tuple[Step, ...]:

@@ -4,6 +4,8 @@
 //! [`crate::form_factor::occluded`]). Pairs that face away cost nothing, pairs with an empty shaft between them no rays,
 //! a convex scene no tree. Row i of the triangle holds G_i0 .. G_i,i-1; G_ii is 0 because patches are flat.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use rayon::prelude::*;
 
 use super::FormFactors;
@@ -12,6 +14,7 @@ use crate::error::{Error, Result};
 use crate::form_factor::occluded::{End, visible_fraction};
 use crate::form_factor::{Accuracy, Scratch, Shape, exchange};
 use crate::geometry::Triangle;
+use crate::geometry::sampling::hash;
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::visibility::Bvh;
@@ -42,12 +45,14 @@ pub struct Dense {
     areas: Vec<f64>,
     exchange: Vec<f64>,
     uncertain: Vec<Uncertain>,
+    kernel_error: f64,
     error_estimate: f64,
     segments: u64,
 }
 
-/// Share of the row tolerance that goes to the unoccluded kernels; they are cheap, and their error is an upper bound.
-const KERNEL_SHARE: f64 = 0.25;
+/// Share of the row tolerance that goes to the unoccluded kernels: a small one, because they are cheap and their error,
+/// unlike that of sampling, may have the same sign everywhere.
+const KERNEL_SHARE: f64 = 0.02;
 /// Segments of the pilot round, which tells how many are needed.
 const PILOT: u32 = 16;
 /// The error of quasi-random visibility falls like segments^-RATE (measured 0.6 to 0.7; random would be 0.5).
@@ -71,6 +76,28 @@ struct Candidate {
     standard_error: f64,
 }
 
+impl Candidate {
+    /// The error to count with. Segments that all agree leave the expectation 1 / (m + 2) for the part that none of them
+    /// met (Laplace's rule of succession): a thin bar is missed by few segments.
+    fn error(&self) -> f64 {
+        if self.standard_error > 0.0 { self.standard_error } else { 1.0 / f64::from(self.cast + 2) }
+    }
+}
+
+/// Memory for what is found on the way.
+struct Room {
+    limit: u64,
+    used: AtomicU64,
+}
+
+impl Room {
+    /// Takes room for some more candidates; false when there is none left.
+    fn take(&self, candidates: usize) -> bool {
+        let bytes = (candidates * (size_of::<Candidate>() + size_of::<Uncertain>())) as u64;
+        self.used.fetch_add(bytes, Ordering::Relaxed) + bytes <= self.limit
+    }
+}
+
 /// First entry of row i in the packed triangle.
 #[inline]
 fn row_start(i: usize) -> usize {
@@ -90,13 +117,8 @@ impl Dense {
     /// [`Error::Invalid`] for a tolerance out of range, [`Error::Memory`] before anything is allocated,
     /// [`Error::Interrupted`].
     pub fn new(scene: &Scene, options: DenseOptions, progress: &Progress) -> Result<Dense> {
-        if !(Accuracy::TIGHTEST..1.0).contains(&options.tolerance) {
-            return Err(Error::Invalid(format!(
-                "tolerance {} is outside [{:e}, 1)",
-                options.tolerance,
-                Accuracy::TIGHTEST
-            )));
-        }
+        Accuracy::new(options.tolerance)?;
+        let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
         let n = scene.len();
         let fits = |needed: u64| {
             if needed <= options.memory {
@@ -111,15 +133,12 @@ impl Dense {
         };
         fits(Dense::forecast(n))?;
         let blockers = Bvh::of_blockers(scene);
-        if !blockers.is_empty() {
-            // At most about half of all pairs face each other, and each of these may need its visibility sampled.
-            let sampled = (n as u64) * (n as u64) / 4;
-            fits(Dense::forecast(n) + sampled * (size_of::<Candidate>() + size_of::<Uncertain>()) as u64)?;
-        }
-        let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
         let mut exchange = vec![0.0; row_start(n)];
-        let mut candidates = unoccluded(scene, accuracy, &blockers, &mut exchange, progress)?;
-        let budget = (1.0 - KERNEL_SHARE) * options.tolerance;
+        // How many pairs need their visibility sampled is known only as they are found.
+        let room = Room { limit: options.memory - Dense::forecast(n), used: AtomicU64::new(0) };
+        let mut candidates = unoccluded(scene, accuracy, &blockers, &mut exchange, &room, progress)?;
+        fits(Dense::forecast(n) + room.used.into_inner())?;
+        let budget = (options.tolerance - accuracy.tolerance()).max(0.5 * options.tolerance);
         let mut segments = 0;
         let mut visibility_error = 0.0;
         for round in 0..=ROUNDS {
@@ -139,8 +158,9 @@ impl Dense {
             *g *= c.visible;
         }
         uncertain.shrink_to_fit();
-        let error_estimate = KERNEL_SHARE * options.tolerance + visibility_error;
-        Ok(Dense { areas: scene.areas().to_vec(), exchange, uncertain, error_estimate, segments })
+        let kernel_error = accuracy.tolerance();
+        let error_estimate = kernel_error + visibility_error;
+        Ok(Dense { areas: scene.areas().to_vec(), exchange, uncertain, kernel_error, error_estimate, segments })
     }
 
     /// Estimate of the largest row error max_i sum_j |dF_ij|: the kernels' bound plus one standard error a sampled pair.
@@ -226,18 +246,42 @@ impl FormFactors for Dense {
         self.partners(i).for_each(|(j, g)| out[j] = g / self.areas[i]);
     }
 
+    fn kernel_error(&self) -> f64 {
+        self.kernel_error
+    }
+
     fn standard_error(&self, x: &[f64], bands: usize) -> Option<Vec<f64>> {
+        if self.uncertain.is_empty() {
+            return None;
+        }
+        // In units of the largest, squares neither overflow nor vanish.
+        let peak = x.iter().fold(f64::MIN_POSITIVE, |peak, x| x.abs().max(peak));
         let mut variance = vec![0.0; self.areas.len() * bands];
         for u in &self.uncertain {
             let (i, j) = (u.i as usize, u.j as usize);
             for b in 0..bands {
-                let (from_j, from_i) = (u.standard_error * x[j * bands + b], u.standard_error * x[i * bands + b]);
-                variance[i * bands + b] += (from_j / self.areas[i]).powi(2);
-                variance[j * bands + b] += (from_i / self.areas[j]).powi(2);
+                variance[i * bands + b] += (u.standard_error / self.areas[i] * (x[j * bands + b] / peak)).powi(2);
+                variance[j * bands + b] += (u.standard_error / self.areas[j] * (x[i * bands + b] / peak)).powi(2);
             }
         }
-        variance.iter_mut().for_each(|v| *v = v.sqrt());
-        Some(variance)
+        Some(variance.iter().map(|v| peak * v.sqrt()).collect())
+    }
+
+    fn sampling_error(&self, x: &[f64], bands: usize, draw: u64) -> Option<Vec<f64>> {
+        if self.uncertain.is_empty() {
+            return None;
+        }
+        let mut out = vec![0.0; self.areas.len() * bands];
+        for (k, u) in self.uncertain.iter().enumerate() {
+            // A random sign has the variance 1, which is all that a sum of many needs.
+            let sign = if hash(draw ^ hash(k as u64)) & 1 == 0 { 1.0 } else { -1.0 };
+            let (i, j) = (u.i as usize, u.j as usize);
+            for b in 0..bands {
+                out[i * bands + b] += sign * u.standard_error / self.areas[i] * x[j * bands + b];
+                out[j * bands + b] += sign * u.standard_error / self.areas[j] * x[i * bands + b];
+            }
+        }
+        Some(out)
     }
 
     fn nbytes(&self) -> usize {
@@ -258,6 +302,7 @@ fn unoccluded(
     accuracy: Accuracy,
     blockers: &Bvh,
     packed: &mut [f64],
+    room: &Room,
     progress: &Progress,
 ) -> Result<Vec<Candidate>> {
     let n = scene.len();
@@ -295,6 +340,10 @@ fn unoccluded(
                 }
             }
             progress.advance(i as u64)?;
+            // Without room the count goes on, so that the error can tell what is needed.
+            if !room.take(candidates.len()) {
+                candidates = Vec::new();
+            }
             Ok(candidates)
         })
         .collect();
@@ -326,12 +375,12 @@ fn sample(scene: &Scene, blockers: &Bvh, candidates: &mut [Candidate], seed: u64
     Ok(work)
 }
 
-/// For every row the sum over its sampled pairs of the standard error of F_ij.
+/// For every row the sum over its sampled pairs of the error of F_ij.
 fn row_errors(areas: &[f64], exchange: &[f64], candidates: &[Candidate]) -> Vec<f64> {
     let mut errors = vec![0.0; areas.len()];
     for c in candidates {
         let (i, j) = (c.i as usize, c.j as usize);
-        let error = exchange[row_start(i) + j] * c.standard_error;
+        let error = exchange[row_start(i) + j] * c.error();
         errors[i] += error / areas[i];
         errors[j] += error / areas[j];
     }

@@ -22,7 +22,7 @@ pub struct DenseMatrix {
 
 impl DenseMatrix {
     /// # Errors
-    /// [`Error::Invalid`] when the length is not n^2 or an entry is negative or not finite.
+    /// [`Error::Invalid`] when the length is not n^2 or an entry is outside [0, 1].
     pub fn new(n: usize, values: Vec<f64>) -> Result<DenseMatrix> {
         if values.len() != n * n {
             return Err(Error::Invalid(format!("{} values do not make an {n} x {n} matrix", values.len())));
@@ -109,7 +109,7 @@ impl SparseMatrix {
     /// From the three arrays of compressed sparse rows (CSR).
     ///
     /// # Errors
-    /// [`Error::Invalid`] when the arrays do not fit together, or an entry is negative or not finite.
+    /// [`Error::Invalid`] when the arrays do not fit together, or an entry is outside [0, 1].
     pub fn new(start: Vec<usize>, index: Vec<u32>, value: Vec<f64>) -> Result<SparseMatrix> {
         let n = start.len().saturating_sub(1);
         let fits = start.first() == Some(&0)
@@ -167,6 +167,7 @@ impl FormFactors for SparseMatrix {
 }
 
 fn check_entries(entries: impl Iterator<Item = (usize, usize, f64)>) -> Result<()> {
-    let bad = entries.filter(|(_, _, f)| !(*f >= 0.0 && f.is_finite())).take(8);
-    Error::from_problems(bad.map(|(i, j, f)| format!("F[{i}, {j}] = {f} is outside [0, inf)")).collect())
+    // A factor of 1 may have been rounded to six digits in a file.
+    let bad = entries.filter(|(_, _, f)| !(*f >= 0.0 && *f <= 1.0 + 1e-6)).take(8);
+    Error::from_problems(bad.map(|(i, j, f)| format!("F[{i}, {j}] = {f} is outside [0, 1]")).collect())
 }

@@ -36,8 +36,18 @@ pub trait FormFactors: Send + Sync {
         sums
     }
 
+    /// A bound on the relative error of every F_ij apart from sampling.
+    fn kernel_error(&self) -> f64 {
+        0.0
+    }
+
     /// The standard error of (F x)_ib that the sampling of F leaves; `None` when F was not sampled.
     fn standard_error(&self, _x: &[f64], _bands: usize) -> Option<Vec<f64>> {
+        None
+    }
+
+    /// (dF x)_ib for one realisation of the sampling error dF, number `draw`; `None` when F was not sampled.
+    fn sampling_error(&self, _x: &[f64], _bands: usize, _draw: u64) -> Option<Vec<f64>> {
         None
     }
 

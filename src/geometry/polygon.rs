@@ -116,6 +116,7 @@ pub fn defect(corners: &[Vec3]) -> Option<String> {
     let rounding = 4.0 * f64::EPSILON * corners.iter().map(|v| v.abs().max_element()).fold(0.0, f64::max);
     let slack = RELATIVE * size + rounding;
     let middle = centre(&local);
+    let mut turned = 0.0;
     for k in 0..local.len() {
         let [corner, next, after] = [local[k], local[(k + 1) % local.len()], local[(k + 2) % local.len()]];
         let off = normal.dot(corner - middle).abs();
@@ -125,6 +126,8 @@ pub fn defect(corners: &[Vec3]) -> Option<String> {
         if (next - corner).cross(after - next).dot(normal) < -slack * size {
             return Some(format!("is not convex at vertex {}", (k + 1) % local.len()));
         }
+        turned += (next - corner).angle_between(after - next);
     }
-    None
+    // A convex border turns once around; a star of five points turns everywhere to the left, but twice.
+    (turned > 1.5 * std::f64::consts::TAU).then(|| "is not convex: its border winds around more than once".to_string())
 }

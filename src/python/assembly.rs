@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 
 use super::convert::{table, values, vector};
 use super::error::to_python;
-use super::run::run;
+use super::run::{in_pool, run};
 use super::scene::Scene;
 use crate::assembly::matrix::{DenseMatrix, SparseMatrix};
 use crate::assembly::{Dense, DenseOptions, FormFactors as Operator, balance};
@@ -100,15 +100,15 @@ impl FormFactors {
     }
 
     #[getter]
-    fn row_sums<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        let sums = py.detach(|| self.operator.row_sums());
-        vector(py, sums)
+    fn row_sums<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let sums = py.detach(|| in_pool(None, || self.operator.row_sums()))?;
+        Ok(vector(py, sums))
     }
 
     #[getter]
-    fn remainder<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        let remainder = py.detach(|| balance::remainder(self.operator.as_ref()));
-        vector(py, remainder)
+    fn remainder<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let remainder = py.detach(|| in_pool(None, || balance::remainder(self.operator.as_ref())))?;
+        Ok(vector(py, remainder))
     }
 
     fn reciprocity_error(&self, py: Python<'_>) -> Option<f64> {
@@ -118,11 +118,12 @@ impl FormFactors {
     fn apply<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let bands = x.as_array().ncols();
         let x = values(&x);
-        let out = py.detach(|| {
+        let product = || {
             let mut out = vec![0.0; x.len()];
             self.operator.apply(&x, bands, &mut out);
             out
-        });
+        };
+        let out = py.detach(|| in_pool(None, product))?;
         table(py, out, bands)
     }
 

@@ -1,7 +1,7 @@
 //! One table from the core's errors to Python's exceptions.
 
 use pyo3::PyErr;
-use pyo3::exceptions::{PyKeyboardInterrupt, PyMemoryError, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyMemoryError, PyValueError};
 
 use crate::error::Error;
 
@@ -12,7 +12,5 @@ pub(super) fn to_python(error: Error) -> PyErr {
         Error::Invalid(_) => PyValueError::new_err(text),
         Error::Memory { .. } => PyMemoryError::new_err(text),
         Error::Interrupted => PyKeyboardInterrupt::new_err(text),
-        // `solve` hands the history over with this one and never lets it come here.
-        Error::Convergence { .. } => PyRuntimeError::new_err(text),
     }
 }

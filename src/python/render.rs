@@ -16,7 +16,7 @@ use crate::render::{Camera, Image, Shading, render as core_render};
 
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
-#[pyo3(signature = (scene, radiosity, irradiance, origin, target, up, fov, width, height, smooth, threads, progress))]
+#[pyo3(signature = (scene, radiosity, irradiance, origin, target, up, fov, width, height, smooth, memory, threads, progress))]
 pub(super) fn render<'py>(
     py: Python<'py>,
     scene: &Scene,
@@ -29,6 +29,7 @@ pub(super) fn render<'py>(
     width: usize,
     height: usize,
     smooth: bool,
+    memory: u64,
     threads: Option<usize>,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
@@ -36,9 +37,9 @@ pub(super) fn render<'py>(
     let image = Image { width, height, shading: if smooth { Shading::Smooth } else { Shading::Flat } };
     let (radiosity, irradiance) = (values(&radiosity), values(&irradiance));
     let bands = scene.scene.bands();
-    let (core, tree) = (Arc::clone(&scene.scene), scene.tree(py));
+    let (core, tree) = (Arc::clone(&scene.scene), scene.tree(py)?);
     let pixels = run(py, threads, progress.as_ref(), move |progress| {
-        core_render(&core, &tree, &radiosity, &irradiance, &camera, image, progress)
+        core_render(&core, &tree, &radiosity, &irradiance, &camera, image, memory, progress)
     })?;
     let array =
         Array3::from_shape_vec((height, width, bands), pixels).map_err(|e| PyValueError::new_err(e.to_string()))?;

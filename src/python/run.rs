@@ -1,8 +1,8 @@
 //! Long work: off the GIL, on as many threads as asked, interruptible, with progress.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use pyo3::exceptions::PyRuntimeError;
@@ -65,9 +65,17 @@ pub(super) fn run<T: Send + 'static>(
     }
 }
 
+/// The process that the shared pool of threads belongs to: a fork has its memory but not its threads.
+static POOL_OWNER: OnceLock<u32> = OnceLock::new();
+
 /// Runs `work` in a pool of `threads` threads; `None` for the shared pool of all cores.
-fn in_pool<T: Send>(threads: Option<usize>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
-    let Some(threads) = threads else { return Ok(work()) };
+pub(super) fn in_pool<T: Send>(threads: Option<usize>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
+    let threads = match threads {
+        None if *POOL_OWNER.get_or_init(std::process::id) == std::process::id() => return Ok(work()),
+        // In a fork, a pool of its own; 0 means all cores.
+        None => 0,
+        Some(threads) => threads,
+    };
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::convert::{from_points, points, table, values, vector};
 use super::error::to_python;
-use super::run::run;
+use super::run::{in_pool, run};
 use crate::error::{Error, Result};
 use crate::geometry::Vec3;
 use crate::progress::Progress;
@@ -33,8 +33,9 @@ impl Scene {
         Scene { scene: Arc::new(scene), tree: OnceLock::new() }
     }
 
-    pub(super) fn tree(&self, py: Python<'_>) -> Arc<Bvh> {
-        py.detach(|| Arc::clone(self.tree.get_or_init(|| Arc::new(Bvh::of_scene(&self.scene)))))
+    pub(super) fn tree(&self, py: Python<'_>) -> PyResult<Arc<Bvh>> {
+        let build = || Arc::clone(self.tree.get_or_init(|| Arc::new(Bvh::of_scene(&self.scene))));
+        py.detach(|| in_pool(None, build))
     }
 }
 
@@ -89,8 +90,14 @@ impl Scene {
         from_points(py, self.scene.normals())
     }
 
-    fn subdivide<'py>(&self, py: Python<'py>, max_edge: f64) -> PyResult<(Scene, Bound<'py, PyArray1<i64>>)> {
-        let (scene, parent) = py.detach(|| self.scene.subdivide(max_edge)).map_err(to_python)?;
+    fn subdivide<'py>(
+        &self,
+        py: Python<'py>,
+        max_edge: f64,
+        memory: u64,
+    ) -> PyResult<(Scene, Bound<'py, PyArray1<i64>>)> {
+        let coarse = Arc::clone(&self.scene);
+        let (scene, parent) = run(py, None, None, move |progress| coarse.subdivide(max_edge, memory, progress))?;
         Ok((Scene::wrap(scene), vector(py, parent.into_iter().map(i64::from).collect())))
     }
 
@@ -102,13 +109,13 @@ impl Scene {
         threads: Option<usize>,
     ) -> PyResult<Hits<'py>> {
         let (origins, directions) = (points(&origins)?, points(&directions)?);
-        let (scene, tree) = (Arc::clone(&self.scene), self.tree(py));
+        let tree = self.tree(py)?;
         let hits = run(py, threads, None, move |progress| {
             check_rays(&[("origin", &origins), ("direction", &directions)])?;
-            if let Some(k) = directions.iter().position(|d| d.length_squared() == 0.0) {
+            if let Some(k) = directions.iter().position(|d| *d == Vec3::ZERO) {
                 return Err(Error::Invalid(format!("ray {k}: its direction is zero")));
             }
-            batched(&origins, &directions, progress, |o, d| tree.closest(&scene, o, d))
+            batched(&origins, &directions, progress, |o, d| tree.closest(o, d))
         })?;
         let patches = hits.iter().map(|hit| hit.map_or(-1, |hit| i64::from(hit.patch))).collect();
         let distances = hits.iter().map(|hit| hit.map_or(f64::INFINITY, |hit| hit.t)).collect();
@@ -124,7 +131,7 @@ impl Scene {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyArray1<bool>>> {
         let (p, q) = (points(&p)?, points(&q)?);
-        let tree = self.tree(py);
+        let tree = self.tree(py)?;
         let blocked = run(py, threads, None, move |progress| {
             check_rays(&[("start", &p), ("end", &q)])?;
             batched(&p, &q, progress, |p, q| tree.blocked(p, q, [NO_PATCH; 2]))

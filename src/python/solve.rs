@@ -11,7 +11,7 @@ use super::convert::{table, values, vector};
 use super::error::to_python;
 use super::run::run;
 use crate::error::{Error, Result};
-use crate::solve::{Audit, Method, Options, Solved, Step, System, conclude};
+use crate::solve::{Audit, Method, Options, Solved, Step, System};
 
 /// Returns a dictionary: the fields of the core's solution, and `failure`, the message when the iteration did not converge.
 #[pyfunction]
@@ -57,25 +57,16 @@ pub(super) fn solve<'py>(
                 })
             })
         };
-        match crate::solve::solve(&system, method, &options, &mut observe) {
-            Ok(solved) => Ok((solved, None)),
-            Err(error @ Error::Convergence { .. }) => {
-                let text = error.to_string();
-                let Error::Convergence { radiosity, history, .. } = error else { return Err(error) };
-                Ok((conclude(&system, radiosity, history), Some(text)))
-            }
-            Err(error) => Err(error),
-        }
+        crate::solve::solve(&system, method, &options, &mut observe)
     });
     if let Some(error) = raised.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);
     }
-    let (solved, failure) = outcome?;
-    to_dict(py, solved, bands, failure)
+    to_dict(py, outcome?, bands)
 }
 
-fn to_dict(py: Python<'_>, solved: Solved, bands: usize, failure: Option<String>) -> PyResult<Bound<'_, PyDict>> {
-    let Solved { radiosity, irradiance, standard_error, history, residual, error_estimate, audit } = solved;
+fn to_dict(py: Python<'_>, solved: Solved, bands: usize) -> PyResult<Bound<'_, PyDict>> {
+    let Solved { radiosity, irradiance, standard_error, history, residual, failure, error_estimate, audit } = solved;
     let dict = PyDict::new(py);
     dict.set_item("radiosity", table(py, radiosity, bands)?)?;
     dict.set_item("irradiance", table(py, irradiance, bands)?)?;

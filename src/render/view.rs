@@ -6,6 +6,7 @@
 //! area-weighted mean over the patches around it that lie within [`CREASE`] of the same orientation.
 
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use rayon::prelude::*;
 
@@ -15,7 +16,7 @@ use crate::geometry::Vec3;
 use crate::geometry::sampling::{Sobol, hash};
 use crate::progress::Progress;
 use crate::scene::Scene;
-use crate::visibility::{Bvh, Hit};
+use crate::visibility::{Bvh, Hit, NO_PATCH};
 
 /// How a patch's radiosity is spread over it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,15 +44,14 @@ const CREASE: f64 = 0.766;
 /// Rays through every pixel, and through pixels in which these meet different patches.
 const RAYS: u32 = 4;
 const RAYS_AT_EDGES: u32 = 16;
-/// Rays a side of the grid that finds out whether the camera sees anything.
-const PROBES: usize = 24;
-
 /// Radiance, W/(m^2 sr), height x width x bands, row 0 on top; the mean over each pixel. Backs and empty space are black.
 ///
 /// `irradiance` is H, n x b. `bvh` must hold all patches of the scene.
 ///
 /// # Errors
-/// [`Error::Invalid`] when the image has no pixels, or the camera sees nothing or only backs; [`Error::Interrupted`].
+/// [`Error::Invalid`] when the image has no pixels, or the camera sees nothing or only backs; [`Error::Memory`] when the
+/// image needs more than `memory` bytes; [`Error::Interrupted`].
+#[expect(clippy::too_many_arguments, reason = "a picture has this many ingredients")]
 pub fn render(
     scene: &Scene,
     bvh: &Bvh,
@@ -59,23 +59,37 @@ pub fn render(
     irradiance: &[f64],
     camera: &Camera,
     image: Image,
+    memory: u64,
     progress: &Progress,
 ) -> Result<Vec<f64>> {
     let Image { width, height, shading } = image;
     if width == 0 || height == 0 {
         return Err(Error::Invalid(format!("an image of {width} x {height} pixels is empty; both must be at least 1")));
     }
-    check_view(scene, bvh, camera, width, height)?;
     let bands = scene.bands();
+    // The image, and the copy that the caller makes of it.
+    let needed = [width, height, bands].iter().fold(16u64, |bytes, &k| bytes.saturating_mul(k as u64));
+    if needed > memory {
+        return Err(Error::Memory {
+            what: format!("an image of {width} x {height} pixels in {bands} bands"),
+            needed,
+            available: memory,
+            remedy: "choose fewer pixels".to_string(),
+        });
+    }
     let corners = match shading {
         Shading::Flat => Vec::new(),
         Shading::Smooth => corner_irradiance(scene, irradiance),
     };
+    // Whether any ray met a front, and the lowest number of the patches whose backs were met.
+    let (front_seen, back_seen) = (AtomicBool::new(false), AtomicU32::new(NO_PATCH));
     let add_radiance = |hit: &Hit, direction: Vec3, out: &mut [f64]| {
         let i = hit.patch as usize;
         if scene.normals()[i].dot(direction) >= 0.0 {
+            back_seen.fetch_min(hit.patch, Ordering::Relaxed);
             return;
         }
+        front_seen.store(true, Ordering::Relaxed);
         for (b, out) in out.iter_mut().enumerate() {
             let k = i * bands + b;
             let value = match shading {
@@ -101,7 +115,7 @@ pub fn render(
             while rays < target {
                 let [u, v, ..] = sobol.point(rays);
                 let direction = camera.direction(x as f64 + u, y as f64 + v, width, height);
-                let hit = bvh.closest(scene, camera.origin(), direction);
+                let hit = bvh.closest(camera.origin(), direction);
                 if let Some(hit) = &hit {
                     add_radiance(hit, direction, pixel);
                 }
@@ -115,31 +129,23 @@ pub fn render(
         }
         progress.advance(1)
     })?;
+    if !front_seen.into_inner() {
+        return Err(nothing_seen(camera, back_seen.into_inner()));
+    }
     Ok(pixels)
 }
 
-/// A camera that sees no front of any patch would give a black picture: say so, and why, before the work.
-fn check_view(scene: &Scene, bvh: &Bvh, camera: &Camera, width: usize, height: usize) -> Result<()> {
-    let mut back = None;
-    for k in 0..PROBES * PROBES {
-        let (u, v) = (k % PROBES, k / PROBES);
-        let at = |k: usize, size: usize| (k as f64 + 0.5) / PROBES as f64 * size as f64;
-        let direction = camera.direction(at(u, width), at(v, height), width, height);
-        if let Some(hit) = bvh.closest(scene, camera.origin(), direction) {
-            if scene.normals()[hit.patch as usize].dot(direction) < 0.0 {
-                return Ok(());
-            }
-            back.get_or_insert(hit.patch);
-        }
-    }
+/// A picture without a single front is black: why.
+fn nothing_seen(camera: &Camera, back: u32) -> Error {
     let origin = camera.origin();
-    Err(Error::Invalid(match back {
-        None => format!("the camera at {origin} looks at nothing: no patch is in its view"),
-        Some(patch) => format!(
-            "the camera at {origin} sees only the backs of patches (patch {patch} among them): it stands inside a wall or a \
+    Error::Invalid(if back == NO_PATCH {
+        format!("the camera at {origin} looks at nothing: no patch is in its view")
+    } else {
+        format!(
+            "the camera at {origin} sees only the backs of patches (patch {back} among them): it stands inside a wall or a \
              solid, outside a closed room, or the patches are wound clockwise"
-        ),
-    }))
+        )
+    })
 }
 
 /// The irradiance at the three corners of every patch, n x 3 x b.

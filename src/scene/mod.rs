@@ -10,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::geometry::polygon::{Plane, area_vector};
 use crate::geometry::subdivision::subdivide;
 use crate::geometry::{Triangle, Vec3};
+use crate::progress::Progress;
 
 /// Which sides of the given triangles emit and reflect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,6 +48,8 @@ pub struct Scene {
     emission: Vec<f64>,
     areas: Vec<f64>,
     normals: Vec<Vec3>,
+    /// Whether patch i + n/2 is the back of patch i, for all i.
+    mirrored: bool,
 }
 
 impl Scene {
@@ -55,17 +58,17 @@ impl Scene {
     /// # Errors
     /// [`Error::Invalid`] with every problem found, each naming its patch, its value and the allowed range.
     pub fn new(description: Description) -> Result<Scene> {
-        validate::shapes(&description)?;
+        validate::description(&description)?;
         let Description { vertices, faces, bands, mut reflectance, mut emission, sides } = description;
         // Validation has bounded every index by the number of vertices, which is below 2^32.
         let mut faces: Vec<[u32; 3]> = faces.iter().map(|f| f.map(|v| v as u32)).collect();
         if sides == Sides::Both {
-            faces.extend(faces.clone().iter().map(|&[a, b, c]| [a, c, b]));
+            faces.extend(faces.clone().into_iter().map(reversed));
             reflectance.extend_from_within(..);
             emission.extend_from_within(..);
         }
         let scene = Scene::assemble(vertices, faces, bands, reflectance, emission);
-        validate::values(&scene)?;
+        validate::scene(&scene)?;
         Ok(scene)
     }
 
@@ -82,7 +85,9 @@ impl Scene {
             areas.push(vector.length());
             normals.push(vector.normalize_or_zero());
         }
-        Scene { vertices, faces, bands, reflectance, emission, areas, normals }
+        let (fronts, backs) = faces.split_at(faces.len() / 2);
+        let mirrored = fronts.iter().copied().map(reversed).eq(backs.iter().copied());
+        Scene { vertices, faces, bands, reflectance, emission, areas, normals, mirrored }
     }
 
     /// Number of patches n.
@@ -143,11 +148,18 @@ impl Scene {
     }
 
     /// A finer scene with no edge longer than `max_edge`, and for each of its patches the patch that it is a part of.
+    /// Where patch i + n is the back of patch i, it stays so.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when `max_edge` is not positive, [`Error::Memory`] when the result would be too large.
-    pub fn subdivide(&self, max_edge: f64) -> Result<(Scene, Vec<u32>)> {
-        let fine = subdivide(&self.vertices, &self.faces, max_edge)?;
+    /// [`Error::Invalid`] when `max_edge` is not positive or too small for the coordinates' rounding, [`Error::Memory`] when
+    /// the result would exceed `memory` bytes, [`Error::Interrupted`].
+    pub fn subdivide(&self, max_edge: f64, memory: u64, progress: &Progress) -> Result<(Scene, Vec<u32>)> {
+        let fronts = if self.mirrored { self.len() / 2 } else { self.len() };
+        let mut fine = subdivide(&self.vertices, &self.faces[..fronts], max_edge, memory, progress)?;
+        if self.mirrored {
+            fine.faces.extend(fine.faces.clone().into_iter().map(reversed));
+            fine.parent.extend(fine.parent.clone().iter().map(|p| p + fronts as u32));
+        }
         let rows = |values: &[f64]| {
             let mut out = Vec::with_capacity(fine.parent.len() * self.bands);
             for &p in &fine.parent {
@@ -165,4 +177,9 @@ impl Scene {
         }
         Ok((scene, fine.parent))
     }
+}
+
+/// The same triangle seen from behind.
+fn reversed([a, b, c]: [u32; 3]) -> [u32; 3] {
+    [a, c, b]
 }

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use super::{Description, Scene};
 use crate::error::{Error, Result};
+use crate::geometry::{Vec3, polygon};
 
 /// At most this many patches are named for each kind of problem; the rest are counted.
 const NAMED: usize = 8;
@@ -34,9 +35,9 @@ impl Offenders {
     }
 }
 
-/// Lengths, finiteness and index ranges: what must hold before any geometry can be computed.
-pub(super) fn shapes(description: &Description) -> Result<()> {
-    let Description { vertices, faces, bands, reflectance, emission, .. } = description;
+/// Lengths, finiteness, ranges of indices and materials: what can be told of each patch by itself.
+pub(super) fn description(given: &Description) -> Result<()> {
+    let Description { vertices, faces, bands, reflectance, emission, .. } = given;
     let mut problems = Vec::new();
     if faces.is_empty() {
         problems.push("the scene has no patches".to_string());
@@ -47,7 +48,9 @@ pub(super) fn shapes(description: &Description) -> Result<()> {
     if *bands == 0 {
         problems.push("the scene has no bands; at least 1 is needed".to_string());
     }
-    for (name, values) in [("reflectance", reflectance), ("emission", emission)] {
+    for (name, values, limit, range) in
+        [("reflectance", reflectance, 1.0, "[0, 1]"), ("emission", emission, f64::MAX, "[0, inf)")]
+    {
         if values.len() != faces.len() * bands {
             problems.push(format!(
                 "{name} has {} values; {} patches of {bands} bands need {}",
@@ -55,7 +58,14 @@ pub(super) fn shapes(description: &Description) -> Result<()> {
                 faces.len(),
                 faces.len() * bands
             ));
+            continue;
         }
+        let mut offenders = Offenders::new();
+        for (k, value) in values.iter().enumerate().filter(|(_, v)| !(**v >= 0.0 && **v <= limit)) {
+            let (patch, band) = (k / bands, k % bands);
+            offenders.add(|| format!("patch {patch}: {name} {value} is outside {range} (band {band})"));
+        }
+        offenders.report(&mut problems);
     }
     let mut offenders = Offenders::new();
     for (k, v) in vertices.iter().enumerate().filter(|(_, v)| !v.is_finite()) {
@@ -68,33 +78,37 @@ pub(super) fn shapes(description: &Description) -> Result<()> {
             offenders.add(|| format!("patch {i}: vertex index {index} is outside 0 .. {}", vertices.len()));
         }
     }
+    let indices_hold = offenders.count == 0;
     offenders.report(&mut problems);
+    if indices_hold {
+        areas(vertices, faces, &mut problems);
+    }
     Error::from_problems(problems)
 }
 
-/// Areas and materials.
-pub(super) fn values(scene: &Scene) -> Result<()> {
-    let mut problems = Vec::new();
+/// Patches without area; those with corners that are not finite have been told of already.
+fn areas(vertices: &[Vec3], faces: &[[i64; 3]], problems: &mut Vec<String>) {
     let mut offenders = Offenders::new();
-    for i in 0..scene.len() {
-        let [a, b, c] = scene.triangle(i);
+    for (i, face) in faces.iter().enumerate() {
+        let [a, b, c] = face.map(|v| vertices[v as usize]);
+        if ![a, b, c].iter().all(|v| v.is_finite()) {
+            continue;
+        }
         let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+        let area = polygon::area(&[a, b, c]);
         // A cross product of edges is known to a few ulp of their squared length: below that it is no area.
-        if !(scene.areas[i] > 8.0 * f64::EPSILON * longest && scene.areas[i].is_normal()) {
-            offenders.add(|| format!("patch {i}: area {:e} m^2 is zero (corners on a line)", scene.areas[i]));
+        if !area.is_finite() {
+            offenders.add(|| format!("patch {i}: its area overflows; choose a larger unit of length"));
+        } else if !(area > 8.0 * f64::EPSILON * longest && area.is_normal()) {
+            offenders.add(|| format!("patch {i}: area {area:e} m^2 is zero (corners on a line, or too small a unit)"));
         }
     }
-    offenders.report(&mut problems);
-    for (name, values, limit, range) in
-        [("reflectance", &scene.reflectance, 1.0, "[0, 1]"), ("emission", &scene.emission, f64::MAX, "[0, inf)")]
-    {
-        let mut offenders = Offenders::new();
-        for (k, value) in values.iter().enumerate().filter(|(_, v)| !(**v >= 0.0 && **v <= limit)) {
-            let (patch, band) = (k / scene.bands, k % scene.bands);
-            offenders.add(|| format!("patch {patch}: {name} {value} is outside {range} (band {band})"));
-        }
-        offenders.report(&mut problems);
-    }
+    offenders.report(problems);
+}
+
+/// Materials with which no light is ever lost.
+pub(super) fn scene(scene: &Scene) -> Result<()> {
+    let mut problems = Vec::new();
     for band in 0..scene.bands {
         if scene.reflectance.iter().skip(band).step_by(scene.bands).all(|&rho| rho == 1.0) && is_closed(scene) {
             problems.push(format!(
@@ -108,18 +122,13 @@ pub(super) fn values(scene: &Scene) -> Result<()> {
 
 /// Whether the patches enclose their fronts: every edge is shared by as many patches in one direction as in the other
 /// (corners compared by position), and the signed volume says that the fronts look inward. A closed body seen from outside
-/// loses its light to the surroundings.
+/// loses its light to the surroundings; one of two-sided patches is closed whichever way it is wound.
 fn is_closed(scene: &Scene) -> bool {
-    let origin = scene.vertices[scene.faces[0][0] as usize];
-    let volume: f64 =
-        (0..scene.len()).map(|i| scene.triangle(i).map(|v| v - origin)).map(|[a, b, c]| a.dot(b.cross(c))).sum();
-    if volume >= 0.0 {
-        return false;
-    }
+    let fronts = if scene.mirrored { &scene.faces[..scene.len() / 2] } else { &scene.faces[..] };
     // Adding 0.0 makes -0.0 and 0.0 the same position.
     let key = |v: u32| scene.vertices[v as usize].to_array().map(|x| (x + 0.0).to_bits());
     let mut balance: HashMap<_, i64> = HashMap::new();
-    for face in &scene.faces {
+    for face in fronts {
         for k in 0..3 {
             let (a, b) = (key(face[k]), key(face[(k + 1) % 3]));
             if a < b {
@@ -129,5 +138,13 @@ fn is_closed(scene: &Scene) -> bool {
             }
         }
     }
-    balance.values().all(|&count| count == 0)
+    let origin = scene.vertices[scene.faces[0][0] as usize];
+    let mut volume = 0.0;
+    for i in 0..fronts.len() {
+        let [a, b, c] = scene.triangle(i).map(|v| v - origin);
+        volume += a.dot(b.cross(c)) / 6.0;
+    }
+    // A sheet with two sides given as two patches each encloses nothing but rounding.
+    let rounding = 1e-12 * scene.areas.iter().sum::<f64>().powf(1.5);
+    balance.values().all(|&count| count == 0) && (volume < -rounding || (scene.mirrored && volume > rounding))
 }

@@ -13,10 +13,10 @@
 //!
 //!   ||r|| / ||E|| <= tolerance,   ||x||^2 = sum over i of A_i x_i^2   (A = 1 where areas are unknown).
 //!
-//! With exact reciprocity rho F is bounded in that norm by q = max_i rho_i x max_i sum_j F_ij, so the distance to the
-//! solution is at most ||r|| / (1 - q).
+//! How far B is from the solution is another question: see [`estimate`].
 
 pub mod direct;
+mod estimate;
 pub mod gauss_seidel;
 pub mod gmres;
 pub mod jacobi;
@@ -105,7 +105,7 @@ pub struct Step {
 /// Sees every step: the radiosity so far and what is unshot of it, n x b each. An error stops the solver.
 pub type Observer<'a> = dyn FnMut(&Step, &[f64], &[f64]) -> Result<()> + Send + 'a;
 
-/// A solution of the discrete equation.
+/// A solution of the discrete equation, or what was reached of it.
 #[derive(Debug, Clone)]
 pub struct Solved {
     /// B, n x b, W/m^2.
@@ -118,8 +118,10 @@ pub struct Solved {
     pub history: Vec<Step>,
     /// Relative residual reached.
     pub residual: f64,
+    /// Why the tolerance was not met; `None` when it was.
+    pub failure: Option<String>,
     /// Estimated distance to the solution with exact F on the same patches, relative to ||B - E||, the largest over the
-    /// bands: the iteration's bound and the sampling error in quadrature. Infinite where q >= 1 and no bound is known.
+    /// bands.
     pub error_estimate: f64,
     /// Where the power went; `None` without areas.
     pub audit: Option<Audit>,
@@ -138,11 +140,11 @@ pub struct Audit {
     pub unshot: Vec<f64>,
 }
 
-/// Solves a system.
+/// Solves a system. Steps that run out are no error: the result holds what was reached, and why it is not more.
 ///
 /// # Errors
 /// [`Error::Invalid`] for shapes and values out of range or a system without finite solution, [`Error::Memory`] for a
-/// matrix too large to factor, [`Error::Convergence`] with all that was reached, [`Error::Interrupted`].
+/// matrix too large to factor, [`Error::Interrupted`].
 pub fn solve(system: &System, method: Method, options: &Options, observe: &mut Observer) -> Result<Solved> {
     validate(system, options)?;
     let mut run = Run::new(system, method, options, observe);
@@ -153,8 +155,21 @@ pub fn solve(system: &System, method: Method, options: &Options, observe: &mut O
         Method::Southwell => southwell::solve(system, &mut run),
         Method::Gmres => gmres::solve(system, &mut run),
     }?;
-    let history = run.history;
-    Ok(conclude(system, radiosity, history))
+    let (history, failure) = (run.history, run.failure);
+    let irradiance = irradiance(system, &radiosity);
+    let unshot = residual(system, &irradiance, &radiosity);
+    let estimate = estimate::estimate(system, &radiosity, &irradiance, &unshot)?;
+    let audit = system.form_factors.areas().map(|areas| audit(system, areas, &radiosity, &irradiance, &unshot));
+    Ok(Solved {
+        residual: history.last().map_or(0.0, |step| step.residual),
+        radiosity,
+        irradiance,
+        standard_error: estimate.standard_error,
+        history,
+        failure,
+        error_estimate: estimate.error,
+        audit,
+    })
 }
 
 fn validate(system: &System, options: &Options) -> Result<()> {
@@ -163,6 +178,9 @@ fn validate(system: &System, options: &Options) -> Result<()> {
     let mut problems = Vec::new();
     if n == 0 {
         problems.push("the form-factor matrix is empty".to_string());
+    }
+    if bands == 0 {
+        problems.push("the system has no bands; at least 1 is needed".to_string());
     }
     if !(options.tolerance > 0.0 && options.tolerance < 1.0) {
         problems.push(format!("tolerance {} is outside (0, 1)", options.tolerance));
@@ -209,6 +227,7 @@ pub struct Run<'a, 'b> {
     observe: &'a mut Observer<'b>,
     emission_norms: Vec<f64>,
     history: Vec<Step>,
+    failure: Option<String>,
 }
 
 impl<'a, 'b> Run<'a, 'b> {
@@ -221,17 +240,15 @@ impl<'a, 'b> Run<'a, 'b> {
             observe,
             emission_norms: norms(system, system.emission),
             history: Vec::new(),
+            failure: None,
         }
     }
 
-    /// Records a step; true when the tolerance is met.
+    /// Records a step; true when there is to be no other: the tolerance is met, or never will be.
     fn step(&mut self, radiosity: &[f64], unshot: &[f64], own_limit: usize) -> Result<bool> {
         let System { form_factors, bands, .. } = *self.system;
-        let residual = norms(self.system, unshot)
-            .iter()
-            .zip(&self.emission_norms)
-            .map(|(r, e)| if *e > 0.0 { r / e } else { 0.0 })
-            .fold(0.0, f64::max);
+        let relative = |(r, e): (f64, &f64)| if *e > 0.0 { r / e } else { r };
+        let residual = norms(self.system, unshot).into_iter().zip(&self.emission_norms).map(relative).fold(0.0, worse);
         let mut power = vec![0.0; bands];
         for (i, row) in unshot.chunks_exact(bands).enumerate() {
             let area = form_factors.areas().map_or(1.0, |areas| areas[i]);
@@ -241,30 +258,51 @@ impl<'a, 'b> Run<'a, 'b> {
         let observed = (self.observe)(&step, radiosity, unshot);
         self.history.push(step);
         observed?;
+        let steps = self.history.len();
         if residual <= self.tolerance {
             return Ok(true);
         }
-        if self.history.len() >= self.max_iterations.unwrap_or(own_limit) {
-            return Err(Error::Convergence {
-                method: self.method.name(),
-                residual,
-                tolerance: self.tolerance,
-                radiosity: radiosity.to_vec(),
-                history: std::mem::take(&mut self.history),
-            });
-        }
-        Ok(false)
+        let (name, tolerance) = (self.method.name(), self.tolerance);
+        self.failure = if !residual.is_finite() {
+            Some(format!("{name} diverged at step {steps}: the rows of F times the reflectance exceed 1"))
+        } else if self.method == Method::Direct {
+            Some(format!(
+                "direct left a relative residual of {residual:.3e}, above the tolerance {tolerance:.3e}: the system is too \
+                 close to one without finite solution for double precision"
+            ))
+        } else if steps >= self.max_iterations.unwrap_or(own_limit) {
+            Some(format!(
+                "{name} stopped after {steps} steps at a relative residual of {residual:.3e}, above the tolerance \
+                 {tolerance:.3e}; allow more iterations or choose another method (\"direct\" takes one step)"
+            ))
+        } else {
+            return Ok(false);
+        };
+        Ok(true)
     }
 }
 
-/// Area-weighted norms, one a band.
+/// The larger of two numbers; what is not a number counts as infinite.
+fn worse(a: f64, b: f64) -> f64 {
+    if b.is_nan() { f64::INFINITY } else { a.max(b) }
+}
+
+/// Area-weighted norms, one a band, of numbers of any size.
 fn norms(system: &System, x: &[f64]) -> Vec<f64> {
-    let mut sums = vec![0.0; system.bands];
-    for (i, row) in x.chunks_exact(system.bands).enumerate() {
+    let bands = system.bands;
+    let mut peaks = vec![0.0f64; bands];
+    x.chunks_exact(bands)
+        .for_each(|row| row.iter().zip(&mut peaks).for_each(|(x, peak)| *peak = worse(*peak, x.abs())));
+    let mut sums = vec![0.0; bands];
+    for (i, row) in x.chunks_exact(bands).enumerate() {
         let area = system.form_factors.areas().map_or(1.0, |areas| areas[i]);
-        row.iter().zip(&mut sums).for_each(|(x, sum)| *sum += area * x * x);
+        for b in 0..bands {
+            // Divided by the largest, squares neither overflow nor vanish.
+            let x = if peaks[b] > 0.0 { row[b] / peaks[b] } else { 0.0 };
+            sums[b] += area * x * x;
+        }
     }
-    sums.into_iter().map(f64::sqrt).collect()
+    peaks.iter().zip(sums).map(|(peak, sum)| if *peak == f64::INFINITY { *peak } else { peak * sum.sqrt() }).collect()
 }
 
 /// E + rho H - B.
@@ -280,38 +318,16 @@ fn irradiance(system: &System, radiosity: &[f64]) -> Vec<f64> {
     out
 }
 
-/// Irradiance, error estimate and audit of a radiosity, whatever method found it.
-pub fn conclude(system: &System, radiosity: Vec<f64>, history: Vec<Step>) -> Solved {
+fn audit(system: &System, areas: &[f64], radiosity: &[f64], irradiance: &[f64], unshot: &[f64]) -> Audit {
     let System { form_factors, emission, reflectance, bands } = *system;
-    let irradiance = irradiance(system, &radiosity);
-    let unshot = residual(system, &irradiance, &radiosity);
     let row_sums = form_factors.row_sums();
-    let standard_error = form_factors
-        .standard_error(&radiosity, bands)
-        .map(|errors| errors.iter().zip(reflectance).map(|(error, rho)| error * rho).collect::<Vec<f64>>());
-    let q = reflectance.iter().copied().fold(0.0, f64::max) * row_sums.iter().copied().fold(0.0, f64::max);
-    let amplification = if q < 1.0 { 1.0 / (1.0 - q) } else { f64::INFINITY };
-    let reflected: Vec<f64> = radiosity.iter().zip(emission).map(|(b, e)| b - e).collect();
-    let (reflected_norms, unshot_norms) = (norms(system, &reflected), norms(system, &unshot));
-    let sampling_norms = standard_error.as_ref().map_or_else(|| vec![0.0; bands], |errors| norms(system, errors));
-    let error_estimate = (0..bands)
-        .filter(|&b| reflected_norms[b] > 0.0)
-        .map(|b| {
-            let iteration = if unshot_norms[b] > 0.0 { unshot_norms[b] * amplification } else { 0.0 };
-            iteration.hypot(sampling_norms[b]) / reflected_norms[b]
-        })
-        .fold(0.0, f64::max);
-    let audit = form_factors.areas().map(|areas| {
-        let total = |value: &dyn Fn(usize, usize) -> f64| {
-            (0..bands).map(|b| areas.iter().enumerate().map(|(i, area)| area * value(i, i * bands + b)).sum()).collect()
-        };
-        Audit {
-            emitted: total(&|_, k| emission[k]),
-            absorbed: total(&|_, k| (1.0 - reflectance[k]) * irradiance[k]),
-            left: total(&|i, k| radiosity[k] * (1.0 - row_sums[i])),
-            unshot: total(&|_, k| unshot[k]),
-        }
-    });
-    let residual = history.last().map_or(0.0, |step| step.residual);
-    Solved { radiosity, irradiance, standard_error, history, residual, error_estimate, audit }
+    let total = |value: &dyn Fn(usize, usize) -> f64| {
+        (0..bands).map(|b| areas.iter().enumerate().map(|(i, area)| area * value(i, i * bands + b)).sum()).collect()
+    };
+    Audit {
+        emitted: total(&|_, k| emission[k]),
+        absorbed: total(&|_, k| (1.0 - reflectance[k]) * irradiance[k]),
+        left: total(&|i, k| radiosity[k] * (1.0 - row_sums[i])),
+        unshot: total(&|_, k| unshot[k]),
+    }
 }

@@ -18,24 +18,28 @@ struct Shaft {
     axis: Vec3,
     axis_squared: f64,
     radius: f64,
+    /// Room for rounding. What stands out of a patch's plane by less lies in the plane.
+    slack: f64,
 }
-
-/// Slack for rounding, in a box of size 2; erring on this side costs rays, never truth.
-const SLACK: f64 = 1e-9;
 
 impl Shaft {
     fn new(a: &Triangle, b: &Triangle) -> Shaft {
         let corners = [a[0], a[1], a[2], b[0], b[1], b[2]];
         let (start, end) = (centre(a), centre(b));
+        let low = corners.iter().fold(Vec3::INFINITY, |m, v| m.min(*v));
+        let high = corners.iter().fold(Vec3::NEG_INFINITY, |m, v| m.max(*v));
+        // Distances inside the shaft carry a few ulp of its size, coordinates a few ulp of the box of size 2.
+        let slack = 1e-13 * (high - low).max_element() + 1e-15;
         let radius_of = |t: &Triangle, c: Vec3| t.iter().map(|v| v.distance(c)).fold(0.0, f64::max);
         Shaft {
-            low: corners.iter().fold(Vec3::INFINITY, |m, v| m.min(*v)) - SLACK,
-            high: corners.iter().fold(Vec3::NEG_INFINITY, |m, v| m.max(*v)) + SLACK,
+            low: low - slack,
+            high: high + slack,
             planes: [a, b].map(|t| Plane { normal: area_vector(t).normalize_or_zero(), point: t[0] }),
             start,
             axis: end - start,
             axis_squared: (end - start).length_squared(),
-            radius: radius_of(a, start).max(radius_of(b, end)) + SLACK,
+            radius: radius_of(a, start).max(radius_of(b, end)) + slack,
+            slack,
         }
     }
 
@@ -46,7 +50,7 @@ impl Shaft {
         if low.cmpgt(self.high).any() || high.cmplt(self.low).any() {
             return false;
         }
-        if self.planes.iter().any(|p| p.distance(centre) + reach(p.normal) <= SLACK) {
+        if self.planes.iter().any(|p| p.distance(centre) + reach(p.normal) <= self.slack) {
             return false;
         }
         let to = centre - self.start;
@@ -82,7 +86,7 @@ impl Bvh {
                 let high = triangle.iter().fold(Vec3::NEG_INFINITY, |m, v| m.max(*v));
                 let radius = triangle.iter().map(|v| v.distance(middle)).fold(0.0, f64::max);
                 let reach = |n: Vec3| triangle.iter().map(|v| n.dot(*v - middle)).fold(f64::NEG_INFINITY, f64::max);
-                if !exclude.contains(&self.patches[k]) && shaft.may_meet(low, high, middle, radius, reach) {
+                if !self.patches[k].any_of(exclude) && shaft.may_meet(low, high, middle, radius, reach) {
                     return false;
                 }
             }

@@ -36,6 +36,8 @@ def from_mitsuba(mi_scene: Any) -> Scene:
     from ..scene import Scene
 
     mi = mitsuba_with_rgb()
+    if not isinstance(mi_scene, mi.Scene):
+        raise TypeError(f"mi_scene must be a mitsuba.Scene of variant {mi.variant()}, not {type(mi_scene).__name__}")
     shapes = list(mi_scene.shapes())
     problems = [problem for shape in shapes for problem in _shape_problems(mi, shape)]
     problems += [

@@ -1,0 +1,14 @@
+//! Tests of the Rust core, one file a module. Three kinds of proof: closed forms with their source, agreement between
+//! independent methods, and physics on random scenes.
+
+#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that panics has failed")]
+
+mod assembly;
+mod common;
+mod form_factor;
+mod geometry;
+mod render;
+mod scene;
+mod solve;
+mod visibility;
