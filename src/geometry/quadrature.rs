@@ -1,7 +1,7 @@
 //! Quadrature rules: symmetric rules over the triangle (Dunavant 1985), Gauss-Legendre over an interval.
 //!
-//! integral over T of f = area(T) * sum_k w_k f(p_k), the p_k given by barycentric coordinates. The test
-//! `quadrature` holds every table against the exact integrals of all monomials up to its degree.
+//! integral over T of f = area(T) * sum_k w_k f(p_k), the p_k given by barycentric coordinates. A test
+//! holds every table against the exact integrals of all monomials up to its degree.
 
 use super::{Triangle, Vec3};
 
@@ -32,28 +32,28 @@ pub enum TriangleRule {
 }
 
 // D. A. Dunavant, "High degree efficient symmetrical Gaussian quadrature rules for the triangle", Int. J. Numer. Meth.
-// Engng 21 (1985) 1129-1148, appendix II; polished to double precision by Newton steps on the moment equations.
+// Engng 21 (1985) 1129-1148, appendix II; polished by Newton steps on the moment equations in 40 digits.
 const P3: &[Orbit] = &[Orbit::Three { a: 1.0 / 6.0, weight: 1.0 / 3.0 }];
 const P6: &[Orbit] = &[
-    Orbit::Three { a: 0.445_948_490_915_964_67, weight: 0.223_381_589_678_010_97 },
-    Orbit::Three { a: 0.091_576_213_509_771_05, weight: 0.109_951_743_655_322_38 },
+    Orbit::Three { a: 0.445_948_490_915_964_9, weight: 0.223_381_589_678_011_47 },
+    Orbit::Three { a: 0.091_576_213_509_770_74, weight: 0.109_951_743_655_321_87 },
 ];
 const P7: &[Orbit] = &[
     Orbit::Centroid(0.225),
     Orbit::Three { a: 0.470_142_064_105_115_1, weight: 0.132_394_152_788_506_2 },
-    Orbit::Three { a: 0.101_286_507_323_456_34, weight: 0.125_939_180_544_827_15 },
+    Orbit::Three { a: 0.101_286_507_323_456_34, weight: 0.125_939_180_544_827_14 },
 ];
 const P12: &[Orbit] = &[
-    Orbit::Three { a: 0.249_286_745_170_907_43, weight: 0.116_786_275_726_384_96 },
-    Orbit::Three { a: 0.063_089_014_491_502_78, weight: 0.050_844_906_370_206_78 },
-    Orbit::Six { a: 0.310_352_451_033_786_6, b: 0.053_145_049_844_814_53, weight: 0.082_851_075_618_370_42 },
+    Orbit::Three { a: 0.249_286_745_170_910_43, weight: 0.116_786_275_726_379_37 },
+    Orbit::Three { a: 0.063_089_014_491_502_23, weight: 0.050_844_906_370_206_82 },
+    Orbit::Six { a: 0.310_352_451_033_784_4, b: 0.053_145_049_844_816_945, weight: 0.082_851_075_618_373_57 },
 ];
 const P16: &[Orbit] = &[
-    Orbit::Centroid(0.144_315_607_677_739_15),
-    Orbit::Three { a: 0.459_292_588_292_691_26, weight: 0.095_091_634_267_315_37 },
-    Orbit::Three { a: 0.170_569_307_751_725_63, weight: 0.103_217_370_534_720_19 },
-    Orbit::Three { a: 0.050_547_228_317_031_706, weight: 0.032_458_497_623_201_8 },
-    Orbit::Six { a: 0.263_112_829_634_739_5, b: 0.008_394_777_409_916_16, weight: 0.027_230_314_174_424_796 },
+    Orbit::Centroid(0.144_315_607_677_787_17),
+    Orbit::Three { a: 0.459_292_588_292_723_2, weight: 0.095_091_634_267_284_62 },
+    Orbit::Three { a: 0.170_569_307_751_760_2, weight: 0.103_217_370_534_718_24 },
+    Orbit::Three { a: 0.050_547_228_317_030_98, weight: 0.032_458_497_623_198_08 },
+    Orbit::Six { a: 0.263_112_829_634_638_1, b: 0.008_394_777_409_957_605, weight: 0.027_230_314_174_434_993 },
 ];
 
 impl TriangleRule {
