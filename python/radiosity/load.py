@@ -44,7 +44,8 @@ def load(path: str | os.PathLike[str]) -> Scene:
     """Load a scene from a file: glb, gltf, obj, ply, stl, or the xml of Mitsuba.
 
     Args:
-        path: the file. Lengths are taken as metres, whatever the file's unit is.
+        path: the file. Lengths are taken as metres, whatever the file's unit is, and axes as they are: in glTF files
+            y is up.
 
     Returns:
         The scene; `names` holds the object of each patch (the node of a glTF file, the object or group of an OBJ file,
@@ -62,6 +63,10 @@ def load(path: str | os.PathLike[str]) -> Scene:
             transforms).
 
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise TypeError(
+            f"path must name a file, not be a {type(path).__name__}; Scene.from_trimesh takes trimesh meshes"
+        )
     file = Path(path)
     if file.is_dir():
         raise IsADirectoryError(f"{file}: is a folder, not a mesh file")

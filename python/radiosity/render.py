@@ -29,11 +29,12 @@ class Camera:
     Args:
         origin: (3,) where it stands, m.
         target: (3,) what it looks at, m.
-        up: (3,) the direction that is up in the picture.
+        up: (3,) the direction that is up in the picture: z by default; (0, 1, 0) for most glTF files.
         fov: vertical field of view, degrees, in (0, 180).
 
     Raises:
-        TypeError, ValueError: no three finite numbers, or a field of view out of range.
+        TypeError, ValueError: no three finite numbers, a field of view out of range, a target at the origin, or an up
+            along the view.
     """
 
     origin: tuple[float, float, float]
@@ -49,6 +50,13 @@ class Camera:
             object.__setattr__(self, name, tuple(point.tolist()))
         if not (math.isfinite(self.fov) and 0.0 < self.fov < 180.0):
             raise ValueError(f"camera fov {self.fov} is outside (0, 180) degrees")
+        view = np.subtract(self.target, self.origin)
+        if not view.any():
+            raise ValueError(f"camera target {self.target} is the same point as its origin")
+        # An angle below 1e-9 between up and the view leaves the horizon to rounding.
+        size = np.linalg.norm(view) * np.linalg.norm(self.up)
+        if not np.linalg.norm(np.cross(view, self.up)) > 1e-9 * size:
+            raise ValueError(f"camera up {self.up} is parallel to the view; choose another, such as (0, 1, 0)")
 
 
 def render(

@@ -169,15 +169,19 @@ def solve(
         MemoryError: the form factors would not fit, with the estimate; nothing has been computed then.
 
     Warns:
-        UserWarning: the tolerance was not met, or no bound is known; ``.error_estimate`` says what was reached.
+        UserWarning: the scene has no emission; the tolerance was not met, or no bound is known; ``.error_estimate`` says what was reached.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}")
     if method not in METHODS:
-        raise ValueError(f"unknown method {method!r}; the methods of solve are {METHODS}")
+        raise ValueError(
+            f"unknown method {method!r}; the methods of solve are {METHODS}; solvers are chosen in solve_system"
+        )
     tolerance = float(tolerance)
     if not 0.0 < tolerance < 1.0:
         raise ValueError(f"tolerance {tolerance} is outside (0, 1)")
+    if not scene.emission.any():
+        warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
     row_tolerance = _FIRST_ROW_TOLERANCE * tolerance
     seconds = {"form factors": 0.0, "solve": 0.0}
     segments = 0

@@ -42,8 +42,8 @@ pub struct Image {
 /// spheres round.
 const CREASE: f64 = 0.766;
 /// Rays through every pixel, and through pixels in which these meet different patches.
-const RAYS: u32 = 4;
-const RAYS_AT_EDGES: u32 = 16;
+const RAYS: u32 = 8;
+const RAYS_AT_EDGES: u32 = 32;
 /// Radiance, W/(m^2 sr), height x width x bands, row 0 on top; the mean over each pixel. Backs and empty space are black.
 ///
 /// `irradiance` is H, n x b. `bvh` must hold all patches of the scene.

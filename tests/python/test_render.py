@@ -92,7 +92,7 @@ def test_bad_arguments_are_named(lit_square):
         ({"origin": (0, 0, np.nan)}, "not finite"),
     ]:
         with pytest.raises(ValueError, match=message):
-            rad.render(lit_square, rad.Camera(**{"origin": (0, 0, 0), "target": (0, 0, 1), "up": (0, 1, 0)} | bad))
+            rad.Camera(**{"origin": (0, 0, 0), "target": (0, 0, 1), "up": (0, 1, 0)} | bad)
 
 
 def test_png_holds_srgb(tmp_path):

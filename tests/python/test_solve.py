@@ -189,6 +189,12 @@ def test_solve_decides_and_says_what_it_decided():
     assert 0 < difference.max() <= 3 * solution.error_estimate
 
 
+def test_a_scene_without_emission_is_dark_and_says_so():
+    with pytest.warns(UserWarning, match="no emission"):
+        solution = rad.solve(rad.scenes.furnace(emission=0.0))
+    assert (solution.radiosity == 0).all()
+
+
 def test_bad_arguments_are_named(room):
     F, emission, reflectance = room
     with pytest.raises(ValueError, match='"direct", "jacobi", "gauss_seidel", "southwell", "gmres"'):
