@@ -169,7 +169,7 @@ def solve(
         MemoryError: the form factors would not fit, with the estimate; nothing has been computed then.
 
     Warns:
-        UserWarning: the scene has no emission; the tolerance was not met, or no bound is known; ``.error_estimate`` says what was reached.
+        UserWarning: the scene has no emission; or the tolerance was not met, and ``.error_estimate`` says what was.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}")
