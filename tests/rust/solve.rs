@@ -544,10 +544,10 @@ fn a_system_of_no_bands_is_refused() {
 fn a_factorisation_that_does_not_fit_is_refused() {
     let [(_, scene, f), _] = closed_and_open();
     let n = scene.len() as u64;
-    let small = Options { memory: 16 * n * n - 1, ..options(1e-8) };
+    let small = Options { memory: 8 * n * n - 1, ..options(1e-8) };
     match run(&system(&f, &scene), Method::Direct, &small) {
         Err(Error::Memory { needed, available, remedy, .. }) => {
-            assert_eq!((needed, available), (16 * n * n, 16 * n * n - 1));
+            assert_eq!((needed, available), (8 * n * n, 8 * n * n - 1));
             assert!(remedy.contains("gauss_seidel"));
         }
         other => panic!("{other:?}"),
