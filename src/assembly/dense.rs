@@ -390,7 +390,7 @@ fn row_errors(areas: &[f64], exchange: &[f64], candidates: &[Candidate]) -> Vec<
 /// Sets the segments of the next round; false when no row is over the budget (or nothing more may be spent).
 ///
 /// A row that is r times over its budget needs r^(1/RATE) times the segments on its partly visible pairs. Pairs whose
-/// segments all agreed have an error that falls like 1/m^2, so r times as many keep up.
+/// segments all agreed count with an error of 1/(m + 2), so r times as many keep up.
 fn plan(candidates: &mut [Candidate], errors: &[f64], budget: f64) -> bool {
     // A little more than needed: one more round would cost as much again.
     const MARGIN: f64 = 1.2;

@@ -20,7 +20,8 @@ pub struct VisibleFraction {
     /// V, in [0, 1].
     pub value: f64,
     /// Its standard error, from the spread of the replicates. 0 when all segments agree: a pair of which a fraction v is
-    /// hidden goes unnoticed by m segments with probability (1 - v)^m, so what is missed is of order 1/m^2.
+    /// hidden goes unnoticed by m segments with probability (1 - v)^m, which the spread cannot show: whoever
+    /// needs a bound must add 1 / (m + 2), the share to be expected of what none of m segments met.
     pub standard_error: f64,
 }
 
