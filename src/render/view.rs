@@ -6,6 +6,7 @@
 //! area-weighted mean over the patches around it that lie within [`CREASE`] of the same orientation.
 
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use rayon::prelude::*;
@@ -16,7 +17,7 @@ use crate::geometry::Vec3;
 use crate::geometry::sampling::{Sobol, hash};
 use crate::progress::Progress;
 use crate::scene::Scene;
-use crate::visibility::{Bvh, Hit, NO_PATCH};
+use crate::visibility::{Bvh, Hit, NO_PATCH, Ray};
 
 /// How a patch's radiosity is spread over it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,6 +45,9 @@ const CREASE: f64 = 0.766;
 /// Rays through every pixel, and through pixels in which these meet different patches.
 const RAYS: u32 = 8;
 const RAYS_AT_EDGES: u32 = 32;
+/// Pixels whose rays are cast together.
+const TOGETHER: usize = 128;
+
 /// Radiance, W/(m^2 sr), height x width x bands, row 0 on top; the mean over each pixel. Backs and empty space are black.
 ///
 /// `irradiance` is H, n x b. `bvh` must hold all patches of the scene.
@@ -107,25 +111,41 @@ pub fn render(
     let mut pixels = vec![0.0; width * height * bands];
     progress.expect(height as u64);
     pixels.par_chunks_mut(width * bands).enumerate().try_for_each(|(y, row)| {
-        for (x, pixel) in row.chunks_exact_mut(bands).enumerate() {
-            let sobol = Sobol::new(hash((y * width + x) as u64));
-            let mut rays = 0;
-            let mut first = None;
-            let mut target = RAYS;
-            while rays < target {
-                let [u, v, ..] = sobol.point(rays);
-                let direction = camera.direction(x as f64 + u, y as f64 + v, width, height);
-                let hit = bvh.closest(camera.origin(), direction);
-                if let Some(hit) = &hit {
-                    add_radiance(hit, direction, pixel);
+        for (part, pixels) in row.chunks_mut(TOGETHER * bands).enumerate() {
+            let all: Vec<usize> = (0..pixels.len() / bands).collect();
+            // Adds rays number `numbers` through these columns of the part; tells which of them meet different patches.
+            let mut cast = |columns: &[usize], numbers: Range<u32>| -> Vec<bool> {
+                let mut rays = Vec::with_capacity(columns.len() * numbers.len());
+                for &column in columns {
+                    let x = part * TOGETHER + column;
+                    let sobol = Sobol::new(hash((y * width + x) as u64));
+                    rays.extend(numbers.clone().map(|k| {
+                        let [u, v, ..] = sobol.point(k);
+                        let direction = camera.direction(x as f64 + u, y as f64 + v, width, height);
+                        Ray { origin: camera.origin(), direction, exclude: NO_PATCH }
+                    }));
                 }
-                let patch = hit.map(|hit| hit.patch);
-                if *first.get_or_insert(patch) != patch {
-                    target = RAYS_AT_EDGES;
-                }
-                rays += 1;
+                let hits = bvh.closest(&rays);
+                let (rays, hits) = (rays.chunks_exact(numbers.len()), hits.chunks_exact(numbers.len()));
+                let pixel_of = |column: usize| column * bands..(column + 1) * bands;
+                columns
+                    .iter()
+                    .zip(rays.zip(hits))
+                    .map(|(&column, (rays, hits))| {
+                        let met = rays.iter().zip(hits).filter_map(|(ray, hit)| Some((ray, hit.as_ref()?)));
+                        met.for_each(|(ray, hit)| add_radiance(hit, ray.direction, &mut pixels[pixel_of(column)]));
+                        let patch = |hit: &Option<Hit>| hit.map(|hit| hit.patch);
+                        hits.iter().any(|hit| patch(hit) != patch(&hits[0]))
+                    })
+                    .collect()
+            };
+            let at_edge = cast(&all, 0..RAYS);
+            let edges: Vec<usize> = all.into_iter().filter(|&column| at_edge[column]).collect();
+            cast(&edges, RAYS..RAYS_AT_EDGES);
+            for (pixel, at_edge) in pixels.chunks_exact_mut(bands).zip(at_edge) {
+                let rays = if at_edge { RAYS_AT_EDGES } else { RAYS };
+                pixel.iter_mut().for_each(|value| *value /= f64::from(rays));
             }
-            pixel.iter_mut().for_each(|value| *value /= f64::from(rays));
         }
         progress.advance(1)
     })?;

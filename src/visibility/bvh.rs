@@ -1,82 +1,53 @@
-//! Bounding volume hierarchy over the patches of a scene, built by the obvhs crate.
+//! The patches of a scene in a bounding volume hierarchy: what rays are asked of.
 //!
 //! Coordinates are moved and scaled in f64 to a box of size 2 around the origin before anything is rounded to f32, so
-//! that a scene in micrometres far from the origin is traversed exactly like one in metres around it. Only the boxes
-//! are f32, padded by more than their rounding; triangles are intersected in f64.
+//! that a scene in micrometres far from the origin is traversed exactly like one in metres around it. Boxes and the
+//! triangles that are sifted are f32, with bounds on what rounding does to them; what is hit is decided in f64.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::time::Duration;
 
 use glam::Vec3A;
-use obvhs::aabb::Aabb;
-use obvhs::bvh2::{Bvh2, builder::build_bvh2};
-use obvhs::ray::{Ray, RayHit};
-use obvhs::{BvhBuildParams, ploc::PlocSearchDistance, ploc::SortPrecision};
 
-use super::intersect::ShearedRay;
-use crate::geometry::polygon::{Plane, area_vector};
+use super::build::{Bounds, binary_tree};
+use super::bundle;
+use super::ray::{Hit, Ray, Segment};
+use super::simd::Instructions;
+use super::traverse;
+use super::wide::Wide;
+use crate::geometry::polygon::area_vector;
+use crate::geometry::sampling::hash;
 use crate::geometry::{Triangle, Vec3};
 use crate::scene::Scene;
 
-/// The patch number that says "none".
-pub const NO_PATCH: u32 = u32::MAX;
-
-/// The first thing that a ray meets.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Hit {
-    /// The patch; of two that share one triangle back to back, the one that faces the ray.
-    pub patch: u32,
-    /// Distance along the ray, in units of the length of its direction.
-    pub t: f64,
-    /// Barycentric coordinates of the patch's corners 1 and 2.
-    pub barycentric: [f64; 2],
-}
+/// The place of a patch that is not in the tree.
+const NOWHERE: u32 = u32::MAX;
 
 /// Rounding of box corners and rays to f32, in a box of size 2: 1 ulp is 1.2e-7, and a slab test makes a few of them.
 const PADDING: f32 = 1e-6;
-
-/// The part of a segment at each end in which it meets nothing but its own surface (of a long one: of the scene's size).
-const OWN_SURFACE: f64 = 1e-9;
-
-/// obvhs' own tree quality presets differ by a factor of four in ray throughput; full reinsertion is the best of them.
-const BUILD: BvhBuildParams = BvhBuildParams {
-    pre_split: false,
-    ploc_search_distance: PlocSearchDistance::Medium,
-    search_depth_threshold: 1,
-    reinsertion_batch_ratio: 1.0,
-    post_collapse_reinsertion_batch_ratio_multiplier: 1.0,
-    sort_precision: SortPrecision::U64,
-    max_prims_per_leaf: 8,
-    collapse_traversal_cost: 3.0,
-};
 
 /// The patches that share one triangle: the one whose front is that of the stored corners, and the one whose front is the
 /// other side. A one-sided patch is both. Of exact duplicates the first counts.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patches {
-    front: u32,
+    pub(super) front: u32,
     back: u32,
-}
-
-impl Patches {
-    /// Whether these are the patches of a segment's ends.
-    #[inline]
-    pub(super) fn any_of(self, ends: [u32; 2]) -> bool {
-        ends.contains(&self.front) || ends.contains(&self.back)
-    }
 }
 
 /// A tree over some or all patches of a scene.
 pub struct Bvh {
-    pub(super) tree: Bvh2,
+    pub(super) wide: Wide,
     /// In leaf order: normalised corners, and the patches that have them.
     pub(super) triangles: Vec<Triangle>,
     pub(super) patches: Vec<Patches>,
+    /// The leaf place of every patch; none for a patch that is not in the tree.
+    places: Vec<u32>,
     centre: Vec3,
     scale: f64,
     /// How far rounding may have moved a corner, in normalised coordinates.
-    rounding: f64,
+    pub(super) rounding: f64,
+    pub(super) own_reach: f32,
+    instructions: Instructions,
 }
 
 impl Bvh {
@@ -100,21 +71,33 @@ impl Bvh {
         let scale = if half > 0.0 { 1.0 / half } else { 1.0 };
         let rounding = 4.0 * f64::EPSILON * low.abs().max(high.abs()).max_element().mul_add(scale, 1.0);
         let normalised = |i: u32| scene.triangle(i as usize).map(|v| (v - centre) * scale);
-        let distinct = distinct_triangles(scene, &patches);
-        let boxes: Vec<Aabb> = distinct
-            .iter()
-            .map(|p| {
-                let corners = normalised(p.front).map(|v| Vec3A::from(v.as_vec3()));
-                let mut bounds = Aabb::from_points(&corners);
-                bounds.min -= Vec3A::splat(PADDING);
-                bounds.max += Vec3A::splat(PADDING);
-                bounds
-            })
-            .collect();
-        let tree = if boxes.is_empty() { Bvh2::default() } else { build_bvh2(&boxes, BUILD, &mut Duration::default()) };
-        let patches: Vec<Patches> = tree.primitive_indices.iter().map(|&k| distinct[k as usize]).collect();
+        let (distinct, numbers) = distinct_triangles(scene, &patches);
+        let tree = binary_tree(distinct.iter().map(|p| {
+            let corners = normalised(p.front).map(|v| Vec3A::from(v.as_vec3()));
+            let padding = Vec3A::splat(PADDING);
+            Bounds {
+                low: corners[0].min(corners[1]).min(corners[2]) - padding,
+                high: corners[0].max(corners[1]).max(corners[2]) + padding,
+            }
+        }));
+        let (wide, order) = Wide::new(&tree, |k| normalised(distinct[k as usize].front));
+        let mut place_of = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(place, &k)| place_of[k as usize] = place as u32);
+        let mut places = vec![NOWHERE; scene.len()];
+        patches.iter().zip(numbers).for_each(|(&i, k)| places[i as usize] = place_of[k as usize]);
+        let patches: Vec<Patches> = order.iter().map(|&k| distinct[k as usize]).collect();
         let triangles = patches.iter().map(|p| normalised(p.front)).collect();
-        Bvh { tree, triangles, patches, centre, scale, rounding }
+        Bvh {
+            wide,
+            triangles,
+            patches,
+            places,
+            centre,
+            scale,
+            rounding,
+            own_reach: Bvh::own_reach(rounding),
+            instructions: Instructions::best(),
+        }
     }
 
     /// Number of triangles in the tree.
@@ -127,91 +110,70 @@ impl Bvh {
         self.patches.is_empty()
     }
 
+    /// The same tree, traversed with other instructions than the best; what this processor does not have is not used.
+    pub fn with_instructions(self, instructions: Instructions) -> Bvh {
+        let known = Instructions::available().contains(&instructions);
+        Bvh { instructions: if known { instructions } else { Instructions::Portable }, ..self }
+    }
+
+    /// Bytes that the tree takes.
+    pub fn nbytes(&self) -> usize {
+        self.wide.nbytes()
+            + size_of_val(self.triangles.as_slice())
+            + size_of_val(self.patches.as_slice())
+            + size_of_val(self.places.as_slice())
+    }
+
     /// A point of the scene in the tree's own coordinates.
-    #[inline]
+    #[inline(always)]
     pub(super) fn normalise(&self, x: Vec3) -> Vec3 {
         (x - self.centre) * self.scale
     }
 
-    /// The first patch that the ray from `origin` along `direction` meets at t > 0.
+    /// What each ray meets first, other than the surface that it starts on.
     ///
-    /// `direction` must be finite and not zero.
-    pub fn closest(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
-        // A direction may be so long or so short that its square is no number.
-        let largest = direction.abs().max_element();
-        let length = (direction / largest).length();
-        let unit = direction / largest / length;
-        let origin = self.normalise(origin);
-        // The f32 traversal starts where the ray comes nearest to the box, so that a distant origin loses no digits.
-        let start = (-origin.dot(unit) - 4.0).max(0.0);
-        let moved = origin + start * unit;
-        let sheared = ShearedRay::new(moved, unit);
-        let ray = Ray::new(moved.as_vec3().into(), unit.as_vec3().into(), 0.0, f32::INFINITY);
-        let mut best: Option<(f64, u32, usize, [f64; 2])> = None;
-        let visit = |k: usize, tmax: f32| -> f32 {
-            let Some((t, barycentric)) = sheared.hit(&self.triangles[k]) else { return tmax };
-            let t = t + start;
-            let patch = self.patches[k].front;
-            // Equal distances, as on a shared edge, go to the lower number: the answer must not depend on the tree.
-            let nearer = best.is_none_or(|(s, p, ..)| t < s || (t == s && patch < p));
-            if t > 0.0 && nearer {
-                best = Some((t, patch, k, barycentric));
-                return ((t - start) as f32).next_up();
-            }
-            tmax
-        };
-        self.traverse(ray, visit);
-        let (t, _, k, [v, w]) = best?;
-        let t = t / self.scale / length / largest;
-        let Patches { front, back } = self.patches[k];
-        // The twin's corners 1 and 2 are exchanged.
-        let from_front = front == back || area_vector(&self.triangles[k]).dot(unit) < 0.0;
-        let (patch, barycentric) = if from_front { (front, [v, w]) } else { (back, [w, v]) };
-        Some(Hit { patch, t, barycentric })
-    }
-
-    /// Whether a patch other than the two excluded ones meets the open segment from `p` to `q`.
-    #[inline]
-    pub fn blocked(&self, p: Vec3, q: Vec3, exclude: [u32; 2]) -> bool {
-        if self.is_empty() {
-            return false;
+    /// Give many at once: some hundreds, and they need not have anything in common.
+    pub fn closest(&self, rays: &[Ray]) -> Vec<Option<Hit>> {
+        let mut hits = vec![None; rays.len()];
+        if !self.is_empty() {
+            traverse::closest(self.instructions, self, rays, &mut hits);
         }
-        let (p, q) = (self.normalise(p), self.normalise(q));
-        let segment = q - p;
-        let Some((enter, leave)) = inside_the_box(p, segment) else { return false };
-        let own = OWN_SURFACE * (2.0 / segment.length()).min(1.0);
-        let sheared = ShearedRay::new(p, segment);
-        // The part inside the box alone goes to f32: ends far outside would lose its digits.
-        let ray =
-            Ray::new((p + enter * segment).as_vec3().into(), segment.as_vec3().into(), 0.0, (leave - enter) as f32);
-        !self.tree.ray_traverse_miss(ray, |_, k| {
-            if self.patches[k].any_of(exclude) {
-                return f32::INFINITY;
-            }
-            match sheared.hit(&self.triangles[k]) {
-                Some((t, _)) if t > own && t < 1.0 - own && !self.touches(k, p, q) => 0.0,
-                _ => f32::INFINITY,
-            }
-        })
+        hits
     }
 
-    /// Whether an end of the segment lies in the plane of triangle k, as far as rounding lets one tell. Then the segment
-    /// starts or ends there, and is not blocked.
-    fn touches(&self, k: usize, p: Vec3, q: Vec3) -> bool {
-        let plane = Plane::of(&self.triangles[k]);
-        plane.distance(p).abs() <= self.rounding || plane.distance(q).abs() <= self.rounding
+    /// Whether anything meets the open segments, other than the surfaces at their ends. Give many at once.
+    pub fn blocked(&self, segments: &[Segment]) -> Vec<bool> {
+        let mut blocked = vec![false; segments.len()];
+        if !self.is_empty() {
+            traverse::blocked(self.instructions, self, segments, &mut blocked);
+        }
+        blocked
     }
 
-    /// Walks the tree; `visit(k, tmax)` tests triangle k in leaf order and returns the new end of the ray.
-    fn traverse(&self, ray: Ray, mut visit: impl FnMut(usize, f32) -> f32) {
-        let mut stack = obvhs::faststack::HeapStack::new_with_capacity(self.tree.max_depth.max(1));
-        let mut hit = RayHit::none();
-        self.tree.ray_traverse_dynamic(&mut stack, ray, &mut hit, |node, ray, _| {
-            for k in node.first_index..node.first_index + node.prim_count {
-                ray.tmax = visit(k as usize, ray.tmax);
-            }
-            true
-        });
+    /// The same as [`Bvh::blocked`], faster, for segments between one pair of patches: all must exclude the same two.
+    pub fn blocked_between(&self, segments: &[Segment]) -> Vec<bool> {
+        let mut blocked = vec![false; segments.len()];
+        if !self.is_empty() {
+            bundle::blocked(self.instructions, self, segments, &mut blocked);
+        }
+        blocked
+    }
+
+    /// Where a patch lies in the order of the leaves.
+    #[inline(always)]
+    pub(super) fn place(&self, patch: u32) -> u32 {
+        self.places.get(patch as usize).copied().unwrap_or(NOWHERE)
+    }
+
+    /// What the hit of triangle `k` at `t` tells the one who asked.
+    #[inline(always)]
+    pub(super) fn hit(&self, k: usize, t: f64, [v, w]: [f64; 2], direction: Vec3) -> Hit {
+        let Patches { front, back } = self.patches[k];
+        let t = t / self.scale;
+        // The twin's corners 1 and 2 are exchanged.
+        let from_front = front == back || area_vector(&self.triangles[k]).dot(direction) < 0.0;
+        let (patch, barycentric) = if from_front { (front, [v, w]) } else { (back, [w, v]) };
+        Hit { patch, t, barycentric }
     }
 }
 
@@ -221,50 +183,44 @@ fn bounds(scene: &Scene) -> (Vec3, Vec3) {
     corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
 }
 
-/// The part [t0, t1] of the segment p + t d, t in [0, 1], that lies in the normalised box, with some room around it.
-fn inside_the_box(p: Vec3, d: Vec3) -> Option<(f64, f64)> {
-    const HALF: f64 = 1.001;
-    let (mut enter, mut leave) = (0.0f64, 1.0f64);
-    for k in 0..3 {
-        let (at, along) = (p[k], d[k]);
-        if along == 0.0 {
-            if at.abs() > HALF {
-                return None;
-            }
-            continue;
-        }
-        let (a, b) = ((-HALF - at) / along, (HALF - at) / along);
-        enter = enter.max(a.min(b));
-        leave = leave.min(a.max(b));
-    }
-    // Also refuses a segment without length, or one that is not finite.
-    (enter < leave && d != Vec3::ZERO).then_some((enter, leave))
-}
-
-/// The triangles of `patches`, each once.
-fn distinct_triangles(scene: &Scene, patches: &[u32]) -> Vec<Patches> {
+/// The triangles of `patches`, each once, and for every patch the number of its triangle.
+fn distinct_triangles(scene: &Scene, patches: &[u32]) -> (Vec<Patches>, Vec<u32>) {
     // Adding 0.0 makes -0.0 and 0.0 the same position.
     let position = |v: u32| scene.vertices()[v as usize].to_array().map(|x| (x + 0.0).to_bits());
-    let mut known: HashMap<[[u64; 3]; 3], usize> = HashMap::with_capacity(patches.len());
-    let mut distinct: Vec<Patches> = Vec::with_capacity(patches.len());
-    for &i in patches {
+    let corners = |i: u32| {
         let mut corners = scene.faces()[i as usize].map(position);
         corners.sort_unstable();
-        match known.entry(corners) {
-            Entry::Vacant(entry) => {
-                entry.insert(distinct.len());
-                distinct.push(Patches { front: i, back: i });
-            }
-            Entry::Occupied(entry) => {
-                let pair = &mut distinct[*entry.get()];
-                let opposite = scene.normals()[i as usize].dot(scene.normals()[pair.front as usize]) < 0.0;
-                if opposite && pair.back == pair.front {
-                    pair.back = i;
+        corners
+    };
+    // By the hash of its corners; triangles that share one by chance take the next numbers.
+    let mut known: HashMap<u64, u32> = HashMap::with_capacity(patches.len());
+    let mut distinct: Vec<Patches> = Vec::with_capacity(patches.len());
+    let mut numbers = Vec::with_capacity(patches.len());
+    for &i in patches {
+        let own = corners(i);
+        let mut key = own.as_flattened().iter().fold(0, |key, &bits| hash(key ^ bits));
+        let number = loop {
+            match known.entry(key) {
+                Entry::Vacant(entry) => {
+                    distinct.push(Patches { front: i, back: i });
+                    break *entry.insert(distinct.len() as u32 - 1);
+                }
+                Entry::Occupied(entry) => {
+                    let pair = &mut distinct[*entry.get() as usize];
+                    if corners(pair.front) == own {
+                        let opposite = scene.normals()[i as usize].dot(scene.normals()[pair.front as usize]) < 0.0;
+                        if opposite && pair.back == pair.front {
+                            pair.back = i;
+                        }
+                        break *entry.get();
+                    }
+                    key = key.wrapping_add(1);
                 }
             }
-        }
+        };
+        numbers.push(number);
     }
-    distinct
+    (distinct, numbers)
 }
 
 /// The patches that have both something before them and something behind them.

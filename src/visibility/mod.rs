@@ -2,14 +2,31 @@
 //!
 //! V(x, y) = 1 when the open segment between x and y meets no patch, else 0. Patches block from both sides.
 //!
-//! - [`bvh`]: the tree (built by obvhs) over normalised triangles, and its traversal
-//! - [`intersect`]: the watertight test of a ray against a triangle (Woop, Benthin & Wald 2013)
+//! - [`bvh`]: the tree over a scene or its blockers, and what may be asked of it
+//! - [`build`]: the binary tree, by binned surface area heuristic; [`wide`]: the same with nodes of eight boxes and leaves of
+//!   up to eight triangles, lane by lane
+//! - [`traverse`]: rays that have nothing in common, a block at a time ([`block`]); [`bundle`]: segments between one pair of
+//!   patches together
+//! - [`sift`]: the f32 tests that both rely on; [`simd`]: their vectors, for three sets of instructions
+//! - [`intersect`]: the watertight test in f64 that decides (Woop, Benthin & Wald 2013); [`own_surface`]: what a ray leaves
+//!   out of account
 //! - [`shaft`]: a proof that nothing can stand between two patches
 //!
 //! The conversion to f32, the normalisation of coordinates and the self-hit rule live in this folder and nowhere else.
 
+mod block;
+mod build;
+mod bundle;
 pub mod bvh;
 mod intersect;
+mod own_surface;
+mod ray;
 mod shaft;
+mod sift;
+mod simd;
+mod traverse;
+mod wide;
 
-pub use bvh::{Bvh, Hit, NO_PATCH};
+pub use bvh::Bvh;
+pub use ray::{Hit, NO_PATCH, Ray, Segment};
+pub use simd::Instructions;

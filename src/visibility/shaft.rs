@@ -6,6 +6,7 @@
 //! blocker outside any of the three blocks nothing. The test is conservative: it may fail to prove, never prove wrongly.
 
 use super::bvh::Bvh;
+use super::wide::{LEAF, Pack, WIDTH};
 use crate::geometry::polygon::{Plane, area_vector, centre};
 use crate::geometry::{Triangle, Vec3};
 
@@ -66,31 +67,41 @@ impl Bvh {
             return true;
         }
         let shaft = Shaft::new(&a.map(|v| self.normalise(v)), &b.map(|v| self.normalise(v)));
-        let mut stack = vec![0usize];
+        let exclude = exclude.map(|patch| self.place(patch));
+        let mut stack = vec![0u32];
         while let Some(index) = stack.pop() {
-            let node = &self.tree.nodes[index];
-            let bounds = node.aabb();
-            let (low, high) = (Vec3::from(bounds.min.as_dvec3()), Vec3::from(bounds.max.as_dvec3()));
-            let half = 0.5 * (high - low);
-            if !shaft.may_meet(low, high, low + half, half.length(), |n| half.dot(n.abs())) {
-                continue;
-            }
-            if !node.is_leaf() {
-                stack.extend([node.first_index as usize, node.first_index as usize + 1]);
-                continue;
-            }
-            for k in node.first_index as usize..(node.first_index + node.prim_count) as usize {
-                let triangle = &self.triangles[k];
-                let middle = centre(triangle);
-                let low = triangle.iter().fold(Vec3::INFINITY, |m, v| m.min(*v));
-                let high = triangle.iter().fold(Vec3::NEG_INFINITY, |m, v| m.max(*v));
-                let radius = triangle.iter().map(|v| v.distance(middle)).fold(0.0, f64::max);
-                let reach = |n: Vec3| triangle.iter().map(|v| n.dot(*v - middle)).fold(f64::NEG_INFINITY, f64::max);
-                if !self.patches[k].any_of(exclude) && shaft.may_meet(low, high, middle, radius, reach) {
+            let node = &self.wide.nodes[index as usize];
+            for lane in 0..WIDTH {
+                let corner = |row: usize| {
+                    let at = |axis: usize| f64::from(node.bounds[2 * axis + row][lane]);
+                    Vec3::new(at(0), at(1), at(2))
+                };
+                let (low, high) = (corner(0), corner(1));
+                let half = 0.5 * (high - low);
+                if !shaft.may_meet(low, high, low + half, half.length(), |n| half.dot(n.abs())) {
+                    continue;
+                }
+                let child = node.children[lane];
+                if child & LEAF == 0 {
+                    stack.push(child);
+                } else if self.leaf_may_meet(&shaft, &self.wide.packs[(child & !LEAF) as usize], exclude) {
                     return false;
                 }
             }
         }
         true
+    }
+
+    fn leaf_may_meet(&self, shaft: &Shaft, pack: &Pack, exclude: [u32; 2]) -> bool {
+        let first = pack.first as usize;
+        (first..first + pack.lanes.count_ones() as usize).any(|k| {
+            let triangle = &self.triangles[k];
+            let middle = centre(triangle);
+            let low = triangle.iter().fold(Vec3::INFINITY, |m, v| m.min(*v));
+            let high = triangle.iter().fold(Vec3::NEG_INFINITY, |m, v| m.max(*v));
+            let radius = triangle.iter().map(|v| v.distance(middle)).fold(0.0, f64::max);
+            let reach = |n: Vec3| triangle.iter().map(|v| n.dot(*v - middle)).fold(f64::NEG_INFINITY, f64::max);
+            !exclude.contains(&(k as u32)) && shaft.may_meet(low, high, middle, radius, reach)
+        })
     }
 }

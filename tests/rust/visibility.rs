@@ -5,11 +5,19 @@ use radiosity::form_factor::area_quadrature::kernel;
 use radiosity::geometry::sampling::point_in_triangle;
 use radiosity::geometry::{Triangle, Vec3};
 use radiosity::scene::{Scene, Sides};
-use radiosity::visibility::{Bvh, NO_PATCH};
+use radiosity::visibility::{Bvh, Hit, Instructions, NO_PATCH, Ray, Segment};
 
-use crate::common::{Mesh, PLENTY, Random, box_in_box, cube, icosphere, plate, rotated, two_plates, vec3};
+use crate::common::{Mesh, PLENTY, Random, box_from, box_in_box, cube, icosphere, plate, rotated, two_plates, vec3};
 
 const NOBODY: [u32; 2] = [NO_PATCH; 2];
+
+fn closest(bvh: &Bvh, origin: Vec3, direction: Vec3) -> Option<Hit> {
+    bvh.closest(&[Ray { origin, direction, exclude: NO_PATCH }])[0]
+}
+
+fn blocked(bvh: &Bvh, start: Vec3, end: Vec3, exclude: [u32; 2]) -> bool {
+    bvh.blocked(&[Segment { start, end, exclude }])[0]
+}
 
 /// Moeller & Trumbore 1997: t, and the least barycentric coordinate (negative outside). Another formula than the one
 /// under test, in world coordinates, without tree.
@@ -58,7 +66,7 @@ fn closest_agrees_with_brute_force() {
             let origin = if k % 2 == 0 { random.in_cube() } else { 5.0 * random.direction() };
             let direction = random.between(0.1, 10.0) * (random.in_cube() - origin);
             let Ok(expected) = brute_closest(&scene, origin, direction) else { continue };
-            let found = bvh.closest(origin, direction);
+            let found = closest(&bvh, origin, direction);
             assert_eq!(found.map(|h| h.patch as usize), expected.map(|(_, i)| i), "{count} triangles, ray {k}");
             let (Some(hit), Some((t, i))) = (found, expected) else {
                 misses += 1;
@@ -84,7 +92,7 @@ fn blocked_agrees_with_brute_force() {
     for (count, size) in [(1, 1.0), (30, 0.5), (300, 0.2)] {
         let scene = Mesh::of_triangles(&soup(&random, count, size)).scene();
         let bvh = Bvh::of_scene(&scene);
-        let (mut blocked, mut free) = (0, 0);
+        let (mut hidden, mut free) = (0, 0);
         'rays: for k in 0..3000 {
             let (p, q) = (random.in_cube(), random.in_cube());
             let exclude = [random.below(count) as u32, NO_PATCH];
@@ -97,12 +105,12 @@ fn blocked_agrees_with_brute_force() {
                 }
                 expected |= inside > 0.0 && t > 0.0 && t < 1.0;
             }
-            assert_eq!(bvh.blocked(p, q, exclude), expected, "{count} triangles, segment {k}");
-            assert_eq!(bvh.blocked(q, p, exclude), expected, "{count} triangles, segment {k} turned round");
-            if expected { blocked += 1 } else { free += 1 }
+            assert_eq!(blocked(&bvh, p, q, exclude), expected, "{count} triangles, segment {k}");
+            assert_eq!(blocked(&bvh, q, p, exclude), expected, "{count} triangles, segment {k} turned round");
+            if expected { hidden += 1 } else { free += 1 }
         }
-        assert!(blocked + free > 2900);
-        assert!(free > 100 && (blocked > 100 || count == 1), "{count} triangles: {blocked} blocked, {free} free");
+        assert!(hidden + free > 2900);
+        assert!(free > 100 && (hidden > 100 || count == 1), "{count} triangles: {hidden} blocked, {free} free");
     }
 }
 
@@ -110,7 +118,7 @@ fn blocked_agrees_with_brute_force() {
 fn a_plate_blocks_what_passes_through_it_and_nothing_else() {
     let scene = plate(vec3(-1.0, -1.0, 0.0), 2.0 * Vec3::X, 2.0 * Vec3::Y, 1).scene();
     let bvh = Bvh::of_scene(&scene);
-    let segment = |x: f64, from: f64, to: f64, exclude| bvh.blocked(vec3(x, 0.3, from), vec3(x, 0.3, to), exclude);
+    let segment = |x: f64, from: f64, to: f64, exclude| blocked(&bvh, vec3(x, 0.3, from), vec3(x, 0.3, to), exclude);
     for (from, to) in [(1.0, -1.0), (-1.0, 1.0)] {
         assert!(segment(0.0, from, to, NOBODY), "through, from both sides");
         assert!(segment(0.999_999, from, to, NOBODY), "just inside the border");
@@ -122,15 +130,15 @@ fn a_plate_blocks_what_passes_through_it_and_nothing_else() {
     // The segment is open: its ends may lie on a patch, whether that is excluded or not.
     assert!(!segment(0.0, 1.0, 0.0, NOBODY));
     assert!(!segment(0.0, 0.0, 1.0, NOBODY));
-    assert!(!bvh.blocked(vec3(-0.5, 0.0, 0.0), vec3(0.5, 0.2, 0.0), NOBODY), "within the plate: seen edge-on");
+    assert!(!blocked(&bvh, vec3(-0.5, 0.0, 0.0), vec3(0.5, 0.2, 0.0), NOBODY), "within the plate: seen edge-on");
     // Patch 0 lies below the diagonal y = x, patch 1 above.
     let [below, above] = [vec3(0.5, -0.5, 1.0), vec3(-0.5, 0.5, 1.0)];
     for (p, patch) in [(below, 0), (above, 1)] {
-        assert!(bvh.blocked(p, p - 2.0 * Vec3::Z, [1 - patch, NO_PATCH]));
-        assert!(!bvh.blocked(p, p - 2.0 * Vec3::Z, [patch, NO_PATCH]), "the excluded patch does not block");
-        assert!(!bvh.blocked(p, p - 2.0 * Vec3::Z, [NO_PATCH, patch]), "in either place");
+        assert!(blocked(&bvh, p, p - 2.0 * Vec3::Z, [1 - patch, NO_PATCH]));
+        assert!(!blocked(&bvh, p, p - 2.0 * Vec3::Z, [patch, NO_PATCH]), "the excluded patch does not block");
+        assert!(!blocked(&bvh, p, p - 2.0 * Vec3::Z, [NO_PATCH, patch]), "in either place");
     }
-    assert!(!bvh.blocked(below, below, NOBODY), "a segment without length has no inside");
+    assert!(!blocked(&bvh, below, below, NOBODY), "a segment without length has no inside");
 }
 
 /// Rays from inside a sphere of 1280 triangles to each of its corners and the middle of each of its edges, where a ray has
@@ -157,7 +165,7 @@ fn assert_watertight(scale: f64, offset: f64) {
         let origin = place(0.25 * random.in_cube());
         for &target in &targets {
             let direction = target - origin;
-            let hit = bvh.closest(origin, direction);
+            let hit = closest(&bvh, origin, direction);
             let hit = hit.unwrap_or_else(|| panic!("scale {scale}: a ray from {origin} along {direction} has escaped"));
             assert!((hit.t - 1.0).abs() < tolerance, "scale {scale}, offset {offset}: t = {}", hit.t);
             rays += 1;
@@ -198,7 +206,7 @@ fn a_scene_that_is_moved_without_rounding_is_hit_where_it_was() {
     for _ in 0..5000 {
         let origin = grid(3.0 * random.in_cube());
         let direction = grid(random.in_cube() - origin);
-        let (a, b) = (bvh_here.closest(origin, direction), bvh_there.closest(origin + shift, direction));
+        let (a, b) = (closest(&bvh_here, origin, direction), closest(&bvh_there, origin + shift, direction));
         assert_eq!(a.map(|h| h.patch), b.map(|h| h.patch));
         if let (Some(a), Some(b)) = (a, b) {
             // The boxes' centres differ by less than an ulp of the shift, 2^-22: other roundings of numbers of size 1, on a
@@ -206,7 +214,7 @@ fn a_scene_that_is_moved_without_rounding_is_hit_where_it_was() {
             assert!((a.t - b.t).abs() < 1e-11, "{} and {}", a.t, b.t);
         }
         let end = origin + direction;
-        assert_eq!(bvh_here.blocked(origin, end, NOBODY), bvh_there.blocked(origin + shift, end + shift, NOBODY));
+        assert_eq!(blocked(&bvh_here, origin, end, NOBODY), blocked(&bvh_there, origin + shift, end + shift, NOBODY));
     }
 }
 
@@ -220,7 +228,7 @@ fn rays_along_the_axes_through_grid_corners_hit() {
         let origin = 0.25 * vec3(f64::from(1 + k % 3), f64::from(1 + k / 3 % 3), f64::from(1 + k / 9));
         for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
             for direction in [axis, -axis] {
-                let hit = bvh.closest(origin, direction).expect("the cube is closed");
+                let hit = closest(&bvh, origin, direction).expect("the cube is closed");
                 let along = origin.dot(axis);
                 // Quarters are exact.
                 assert_eq!(hit.t, if direction == axis { 1.0 - along } else { along });
@@ -244,7 +252,7 @@ fn a_distant_origin_loses_no_hit() {
             let origin = distance * random.direction();
             // Corners that face the origin, away from the outline.
             for &target in mesh.vertices.iter().filter(|v| v.dot(origin) > 0.5 * distance) {
-                let hit = bvh.closest(origin, target - origin).expect("a corner seen from outside");
+                let hit = closest(&bvh, origin, target - origin).expect("a corner seen from outside");
                 // The ray passes the target within eps x distance, on a surface at less than 60 degrees.
                 assert!((hit.t - 1.0).abs() * distance < 16.0 * f64::EPSILON * (8.0 + distance), "{}", hit.t);
                 rays += 1;
@@ -283,11 +291,11 @@ fn boxes_in_f32_lose_no_triangle_at_its_very_border() {
             if !matches!(brute_closest(&scene, origin, direction), Ok(Some((_, 0)))) {
                 continue;
             }
-            let hit = bvh.closest(origin, direction);
+            let hit = closest(&bvh, origin, direction);
             assert_eq!(hit.map(|h| h.patch), Some(0), "case {case}: {triangle:?} from {origin} along {direction}");
             // Both ends within the size of the scene.
             let (p, q) = (target - direction.normalize(), target + direction.normalize());
-            assert!(bvh.blocked(p, q, [1, NO_PATCH]), "case {case}: {triangle:?} from {p} to {q}");
+            assert!(blocked(&bvh, p, q, [1, NO_PATCH]), "case {case}: {triangle:?} from {p} to {q}");
             rays += 1;
         }
     }
@@ -302,7 +310,7 @@ fn a_distant_end_is_blocked_all_the_same() {
     for distance in [3.0, 1e2, 1e4, 1e6, 1e9] {
         for k in 0..500 {
             let (p, q) = (distance * random.direction(), 0.5 * random.in_cube());
-            assert!(bvh.blocked(p, q, NOBODY) && bvh.blocked(q, p, NOBODY), "segment {k} at distance {distance}");
+            assert!(blocked(&bvh, p, q, NOBODY) && blocked(&bvh, q, p, NOBODY), "segment {k} at distance {distance}");
         }
     }
 }
@@ -347,16 +355,16 @@ fn blockers_alone_block_as_much_as_the_whole_scene() {
     let scene = box_in_box(2).scene();
     let (all, blockers) = (Bvh::of_scene(&scene), Bvh::of_blockers(&scene));
     let random = Random::new(17);
-    let (mut blocked, mut free) = (0, 0);
+    let (mut hidden, mut free) = (0, 0);
     for _ in 0..20_000 {
         let (i, j) = (random.below(scene.len()), random.below(scene.len()));
         let Some((p, q)) = lit_segment(&random, &scene, i, j) else { continue };
         let exclude = [i as u32, j as u32];
-        let expected = all.blocked(p, q, exclude);
-        assert_eq!(blockers.blocked(p, q, exclude), expected, "patches {i} and {j}, from {p} to {q}");
-        if expected { blocked += 1 } else { free += 1 }
+        let expected = blocked(&all, p, q, exclude);
+        assert_eq!(blocked(&blockers, p, q, exclude), expected, "patches {i} and {j}, from {p} to {q}");
+        if expected { hidden += 1 } else { free += 1 }
     }
-    assert!(blocked > 1000 && free > 1000, "{blocked} blocked, {free} free");
+    assert!(hidden > 1000 && free > 1000, "{hidden} blocked, {free} free");
 }
 
 /// Over every pair of `scene`: how many shafts are declared empty, how many are not although no segment is blocked, and how
@@ -373,7 +381,7 @@ fn shafts(scene: &Scene, random: &Random, segments: usize) -> [usize; 3] {
             let mut cast = 0;
             for _ in 0..segments {
                 let Some((p, q)) = lit_segment(random, scene, i, j) else { break };
-                is_blocked |= all.blocked(p, q, exclude);
+                is_blocked |= blocked(&all, p, q, exclude);
                 cast += 1;
             }
             if cast == 0 {
@@ -441,7 +449,7 @@ fn of_two_equal_triangles_the_one_that_faces_the_ray_is_hit() {
         // From above or from below, between the plates or outside.
         let side = if k % 4 < 2 { 1.0 } else { -1.0 };
         let origin = target + side * random.between(0.1, 0.9) * vec3(random.between(-0.3, 0.3), 0.2, 1.0);
-        let hit = bvh.closest(origin, target - origin).expect("the plate");
+        let hit = closest(&bvh, origin, target - origin).expect("the plate");
         assert_eq!(hit.patch < n, side > 0.0, "fronts look up: patch {} from side {side}", hit.patch);
         assert!(scene.normals()[hit.patch as usize].dot(target - origin) < 0.0);
         // Barycentric coordinates belong to the patch that is named.
@@ -460,7 +468,7 @@ fn of_exact_duplicates_the_first_is_hit() {
     let bvh = Bvh::of_scene(&scene);
     for (x, y) in [(0.7, 0.2), (0.3, 0.6)] {
         for direction in [Vec3::Z, -Vec3::Z] {
-            let hit = bvh.closest(vec3(x, y, 0.0) - 0.5 * direction, direction).expect("the sheet");
+            let hit = closest(&bvh, vec3(x, y, 0.0) - 0.5 * direction, direction).expect("the sheet");
             assert_eq!(hit.patch, if x > y { 0 } else { 1 }, "from {direction}");
         }
     }
@@ -473,10 +481,10 @@ fn directions_of_any_length_hit_the_same() {
     let random = Random::new(25);
     for _ in 0..200 {
         let (origin, direction) = (0.5 * random.in_cube(), random.direction());
-        let hit = bvh.closest(origin, direction).expect("the sphere is closed");
+        let hit = closest(&bvh, origin, direction).expect("the sphere is closed");
         for exponent in [-1000, -500, -3, 5, 500, 1000] {
             // Powers of two, whose squares leave the range of numbers: the same ray, digit by digit.
-            let scaled = bvh.closest(origin, 2f64.powi(exponent) * direction).expect("the same ray");
+            let scaled = closest(&bvh, origin, 2f64.powi(exponent) * direction).expect("the same ray");
             assert_eq!((scaled.patch, scaled.barycentric), (hit.patch, hit.barycentric), "2^{exponent}");
             assert_eq!(scaled.t, hit.t * 2f64.powi(-exponent), "2^{exponent}");
         }
@@ -500,8 +508,8 @@ fn a_segment_is_not_blocked_by_the_surface_that_it_starts_on() {
                     let slope = 10f64.powf(random.between(-2.0, 0.0));
                     let along = vec3(random.between(-1.0, 1.0), random.between(-1.0, 1.0), 0.0).normalize();
                     let q = p + rotated(&rotation, along + slope * Vec3::Z);
-                    assert!(!bvh.blocked(p, q, NOBODY), "offset {offset}, slope {slope}: the start");
-                    assert!(!bvh.blocked(q, p, NOBODY), "offset {offset}, slope {slope}: the end");
+                    assert!(!blocked(&bvh, p, q, NOBODY), "offset {offset}, slope {slope}: the start");
+                    assert!(!blocked(&bvh, q, p, NOBODY), "offset {offset}, slope {slope}: the end");
                     segments += 1;
                 }
             }
@@ -519,7 +527,381 @@ fn twins_are_found_after_subdivision() {
     for k in 0..200 {
         let target = vec3(random.uniform(), random.uniform(), 0.0);
         let direction = if k % 2 == 0 { Vec3::Z } else { -Vec3::Z };
-        let hit = bvh.closest(target - direction, direction).expect("the plate");
+        let hit = closest(&bvh, target - direction, direction).expect("the plate");
         assert!(fine.normals()[hit.patch as usize].dot(direction) < 0.0, "patch {} shows its back", hit.patch);
+    }
+}
+
+/// Rays from `origins` to every corner of the mesh and to random points of every edge.
+fn rays_at_edges(mesh: &Mesh, origins: &[Vec3], random: &Random) -> Vec<Ray> {
+    let mut targets = mesh.vertices.clone();
+    for [a, b, c] in mesh.indices() {
+        for (p, q) in [(a, b), (b, c), (c, a)] {
+            targets.push(mesh.vertices[p as usize].lerp(mesh.vertices[q as usize], random.uniform()));
+        }
+    }
+    let to =
+        |origin: Vec3| targets.iter().map(move |&target| Ray { origin, direction: target - origin, exclude: NO_PATCH });
+    origins.iter().flat_map(|&origin| to(origin)).collect()
+}
+
+#[test]
+fn no_ray_escapes_from_a_closed_mesh_whatever_the_instructions() {
+    let random = Random::new(30);
+    let mut rays = 0;
+    for (case, mesh) in
+        [icosphere(3), box_from(-Vec3::ONE, Vec3::ONE, 6), box_from(-Vec3::ONE, Vec3::ONE, 1)].into_iter().enumerate()
+    {
+        for turn in 0..4 {
+            // As it stands, where rays run along edges and axes, and turned.
+            let rotation = random.rotation();
+            let mesh = if turn == 0 { mesh.clone() } else { mesh.clone().map(|v| rotated(&rotation, v)) };
+            let count = [6, 20, 300][case];
+            let origins: Vec<Vec3> =
+                (0..count).map(|k| if k == 0 { Vec3::ZERO } else { 0.4 * random.in_cube() }).collect();
+            let at_edges = rays_at_edges(&mesh, &origins, &random);
+            for instructions in Instructions::available() {
+                let bvh = Bvh::of_scene(&mesh.scene()).with_instructions(instructions);
+                for (ray, hit) in at_edges.iter().zip(bvh.closest(&at_edges)) {
+                    let hit = hit.unwrap_or_else(|| panic!("mesh {case}, {instructions:?}: {ray:?} has escaped"));
+                    // The target is rounded to an ulp of its coordinates; the way is at least half a radius long.
+                    assert!((hit.t - 1.0).abs() < 1e-14, "mesh {case}, {instructions:?}: t = {}", hit.t);
+                    rays += 1;
+                }
+            }
+        }
+    }
+    assert!(rays >= 400_000 * Instructions::available().len() / 3, "{rays}");
+}
+
+#[test]
+fn nothing_stands_between_the_walls_of_an_empty_convex_room() {
+    // A tree over all walls, none of which may block; bundles between pairs of patches, and segments one by one.
+    let random = Random::new(31);
+    let mut segments = 0;
+    for mesh in [cube(3), icosphere(2).reversed(), cube(2).map(|v| rotated(&Random::new(5).rotation(), v))] {
+        let scene = mesh.scene();
+        let bvh = Bvh::of_scene(&scene);
+        while segments % 340_000 != 339_968 {
+            let (i, j) = (random.below(scene.len()), random.below(scene.len()));
+            let bundle: Vec<Segment> = (0..64)
+                .filter_map(|_| {
+                    let (start, end) = lit_segment(&random, &scene, i, j)?;
+                    Some(Segment { start, end, exclude: [i as u32, j as u32] })
+                })
+                .collect();
+            if bundle.len() < 64 {
+                continue;
+            }
+            assert!(bvh.blocked(&bundle).iter().all(|blocked| !blocked), "patches {i} and {j}");
+            assert!(bvh.blocked_between(&bundle).iter().all(|blocked| !blocked), "patches {i} and {j} together");
+            segments += 64;
+        }
+        segments += 64 - 32;
+    }
+    assert!(segments > 1_000_000, "{segments}");
+}
+
+/// Meshes of every kind: soups of triangles, closed ones, touching ones, and very different sizes.
+fn assorted(random: &Random) -> Vec<Scene> {
+    let mut small_and_large = soup(random, 150, 0.3);
+    small_and_large.extend(soup(random, 150, 1e-3));
+    small_and_large.push([vec3(-1.0, -1.0, 0.1), vec3(1.0, -1.0, 0.1), vec3(0.0, 1.0, 0.12)]);
+    vec![
+        Mesh::of_triangles(&soup(random, 1000, 0.2)).scene(),
+        Mesh::of_triangles(&small_and_large).scene(),
+        Mesh::of_triangles(&needles(random, 200)).scene(),
+        box_in_box(3).scene(),
+        icosphere(2).and(&icosphere(3).map(|v| 0.3 * v)).scene(),
+    ]
+}
+
+/// `count` needles, a million times as long as wide.
+fn needles(random: &Random, count: usize) -> Vec<Triangle> {
+    let needle = |_| {
+        let (p, along) = (random.in_cube(), random.direction());
+        [p, p + along, p + 0.5 * along + 1e-6 * random.direction()]
+    };
+    (0..count).map(needle).collect()
+}
+
+#[test]
+fn needles_are_hit() {
+    let random = Random::new(38);
+    let triangles = needles(&random, 2000);
+    let scene = Mesh::of_triangles(&triangles).scene();
+    let bvh = Bvh::of_scene(&scene);
+    let (mut first, mut rays) = (0, 0);
+    for [a, b, c] in &triangles {
+        for _ in 0..20 {
+            let (u, v) = (random.between(0.1, 0.4), random.between(0.1, 0.4));
+            let target = (1.0 - u - v) * *a + u * *b + v * *c;
+            let origin = 3.0 * random.direction();
+            let direction = target - origin;
+            // Seen nearly edge-on, rounding of the target decides.
+            if (*b - *a).cross(*c - *a).normalize().dot(direction.normalize()).abs() < 1e-3 {
+                continue;
+            }
+            let hit = closest(&bvh, origin, direction).expect("a needle");
+            // Corners are rounded by eps, edge functions and so weights by eps over the width, 2e-10; the needle is at most 1
+            // deep. Or another is before it.
+            assert!(hit.t < 1.0 + 1e-9, "{}", hit.t);
+            assert!(blocked(&bvh, origin, target + 0.5 * direction, NOBODY));
+            first += u32::from((hit.t - 1.0).abs() < 1e-9);
+            rays += 1;
+        }
+    }
+    assert!(rays > 35_000 && first > rays / 10 * 9, "{first} of {rays}");
+}
+
+#[test]
+fn all_instructions_give_the_same_bits() {
+    let random = Random::new(32);
+    for (case, scene) in assorted(&random).iter().enumerate() {
+        let mut rays = Vec::new();
+        let mut segments = Vec::new();
+        for k in 0..20_000u32 {
+            let patch = random.below(scene.len());
+            let on_patch = point_in_triangle(&scene.triangle(patch), random.uniform(), random.uniform());
+            let exclude = patch as u32;
+            // From a surface, from space, from outside.
+            rays.push(match k % 3 {
+                0 => Ray { origin: on_patch, direction: random.direction(), exclude },
+                1 => {
+                    let origin = random.in_cube();
+                    Ray { origin, direction: on_patch - origin, exclude: NO_PATCH }
+                }
+                _ => Ray { origin: 5.0 * random.direction(), direction: -random.direction(), exclude: NO_PATCH },
+            });
+            let start = random.in_cube();
+            // Through the patch, or from it.
+            let (start, end) =
+                if k % 2 == 0 { (start, 2.0 * on_patch - start) } else { (on_patch, 1.5 * random.in_cube()) };
+            segments.push(Segment { start, end, exclude: [exclude * (k % 2), NO_PATCH] });
+        }
+        let answers = Instructions::available().into_iter().map(|instructions| {
+            let bvh = Bvh::of_scene(scene).with_instructions(instructions);
+            (instructions, bvh.closest(&rays), bvh.blocked(&segments))
+        });
+        let answers: Vec<_> = answers.collect();
+        let (_, hits, blocked) = &answers[0];
+        assert!(hits.iter().flatten().count() > 100 && blocked.iter().filter(|b| **b).count() > 100, "scene {case}");
+        for (instructions, other_hits, other_blocked) in &answers {
+            let differ = hits.iter().zip(other_hits).position(|(a, b)| a != b);
+            assert_eq!(differ, None, "ray in scene {case}, {instructions:?}");
+            let differ = blocked.iter().zip(other_blocked).position(|(a, b)| a != b);
+            assert_eq!(differ, None, "segment in scene {case}, {instructions:?}");
+        }
+    }
+}
+
+#[test]
+fn a_bundle_is_blocked_like_its_segments_one_by_one() {
+    let random = Random::new(33);
+    let (mut hidden, mut free) = (0, 0);
+    for scene in assorted(&random) {
+        for instructions in Instructions::available() {
+            let bvh = Bvh::of_scene(&scene).with_instructions(instructions);
+            for pair in 0..300 {
+                let (i, j) = (random.below(scene.len()), random.below(scene.len()));
+                // Of any number; every other bundle fans out further than one frustum may.
+                let count = 1 + random.below(150);
+                let spread = if pair % 2 == 0 { 0.0 } else { 2.0 };
+                let bundle: Vec<Segment> = (0..count)
+                    .map(|_| {
+                        let on = |k: usize| point_in_triangle(&scene.triangle(k), random.uniform(), random.uniform());
+                        let (start, end) = (on(i), on(j) + spread * random.in_cube());
+                        Segment { start, end, exclude: [i as u32, j as u32] }
+                    })
+                    .collect();
+                let expected = bvh.blocked(&bundle);
+                assert_eq!(bvh.blocked_between(&bundle), expected, "patches {i} and {j}, {instructions:?}");
+                hidden += expected.iter().filter(|blocked| **blocked).count();
+                free += expected.iter().filter(|blocked| !**blocked).count();
+            }
+        }
+    }
+    assert!(hidden > 10_000 && free > 10_000, "{hidden} blocked, {free} free");
+    assert!(Bvh::of_scene(&cube(1).scene()).blocked_between(&[]).is_empty());
+}
+
+#[test]
+fn hits_do_not_depend_on_scale_and_place() {
+    let random = Random::new(34);
+    let mesh = Mesh::of_triangles(&soup(&random, 500, 0.3));
+    let rays: Vec<(Vec3, Vec3)> = (0..5000).map(|_| (random.in_cube(), random.direction())).collect();
+    let unit = mesh.scene();
+    for (scale, offset) in [(1e-6, 0.0), (1e-3, 0.0), (1e3, 0.0), (1e6, 0.0), (1.0, 1e6), (1e-3, 1e3)] {
+        let shift = offset * vec3(1.0, -0.6, 0.3);
+        let place = |v: Vec3| scale * v + shift;
+        let moved = mesh.clone().map(place).scene();
+        let (here, there) = (Bvh::of_scene(&unit), Bvh::of_scene(&moved));
+        // What a coordinate is rounded by, relative to the size of the scene: hits closer to an edge may change sides.
+        let rounding = 4.0 * f64::EPSILON * (1.0 + offset / scale);
+        let mut compared = 0;
+        for &(origin, direction) in &rays {
+            let (a, b) = (closest(&here, origin, direction), closest(&there, place(origin), direction));
+            let is_inside = a.is_none_or(|hit| {
+                let [v, w] = hit.barycentric;
+                let slope = unit.normals()[hit.patch as usize].dot(direction).abs();
+                v.min(w).min(1.0 - v - w) * slope > 100.0 * rounding
+            });
+            if !is_inside {
+                continue;
+            }
+            compared += 1;
+            assert_eq!(a.map(|hit| hit.patch), b.map(|hit| hit.patch), "scale {scale}, offset {offset}");
+            if let (Some(a), Some(b)) = (a, b) {
+                let slope = unit.normals()[a.patch as usize].dot(direction).abs();
+                assert!((b.t / scale - a.t).abs() * slope < 10.0 * rounding, "scale {scale}: {} and {}", a.t, b.t);
+            }
+        }
+        assert!(compared > 4900, "{compared}");
+    }
+}
+
+#[test]
+fn identical_and_concentric_triangles_make_no_deep_tree() {
+    let random = Random::new(35);
+    let one = random.triangle(Vec3::ZERO, 1.0);
+    let identical = Mesh::of_triangles(&[one; 10_000]).scene();
+    let bvh = Bvh::of_scene(&identical);
+    assert_eq!(bvh.len(), 1);
+    let middle = (one[0] + one[1] + one[2]) / 3.0;
+    let normal = identical.normals()[0];
+    assert_eq!(closest(&bvh, middle + normal, -normal).map(|hit| hit.patch), Some(0));
+    // Parallel triangles around one axis, whose boxes share their centre; and boxes one in the other by geometric steps,
+    // of which cuts by area would peel off one at a time.
+    let centred = |size: f64| [vec3(-1.0, -1.0, 0.0), vec3(1.0, -1.0, 0.0), vec3(0.0, 1.0, 0.0)].map(|v| size * v);
+    let same_centre: Vec<Triangle> = (1..=10_000).map(|k| centred(f64::from(k))).collect();
+    let shells: Vec<Triangle> =
+        (0..10_000).map(|k| centred(1.001f64.powi(k)).map(|v| v + 0.5 * v.x.abs() * Vec3::Z)).collect();
+    for triangles in [same_centre, shells] {
+        let scene = Mesh::of_triangles(&triangles).scene();
+        let bvh = Bvh::of_scene(&scene);
+        // 8 to a leaf and 8 to a node: a few hundred bytes a triangle at the very most.
+        assert!(bvh.nbytes() < 600 * scene.len(), "{} bytes", bvh.nbytes());
+        let random = Random::new(36);
+        for _ in 0..300 {
+            let origin = 3.0 * random.in_cube();
+            let direction = random.in_cube() - origin;
+            let Ok(expected) = brute_closest(&scene, origin, direction) else { continue };
+            // What is as near as the own surface, 1e-9 of a scene of up to 22,000, is not asked for.
+            if expected.is_some_and(|(t, _)| t * direction.length() < 1e-4) {
+                continue;
+            }
+            let hit = closest(&bvh, origin, direction);
+            assert_eq!(hit.map(|hit| hit.patch as usize), expected.map(|(_, i)| i));
+        }
+    }
+}
+
+#[test]
+fn a_ray_does_not_meet_the_surface_that_it_starts_on() {
+    // From points of a mesh of flat sides, wherever it stands, without naming the patch: the next thing is another side.
+    let random = Random::new(37);
+    for offset in [0.0, 1e3, 1e6] {
+        let (rotation, shift) = (random.rotation(), offset * random.in_cube());
+        let scene = cube(3).map(|v| rotated(&rotation, v) + shift).scene();
+        let bvh = Bvh::of_scene(&scene);
+        let mut rays = Vec::new();
+        for k in 0..10_000 {
+            let patch = random.below(scene.len());
+            let origin = point_in_triangle(&scene.triangle(patch), random.uniform(), random.uniform());
+            let direction = scene.normals()[patch] + 0.9 * random.direction();
+            rays.push(Ray { origin, direction, exclude: if k % 2 == 0 { NO_PATCH } else { patch as u32 } });
+        }
+        for (ray, hit) in rays.iter().zip(bvh.closest(&rays)) {
+            let hit = hit.expect("the cube is closed");
+            let other = scene.plane(hit.patch as usize).distance(ray.origin);
+            // The side that is hit is not one that holds the start; corners are rounded to some ulp of the offset.
+            assert!(other > 1e-15 * (1.0 + offset), "offset {offset}: {ray:?} meets patch {}", hit.patch);
+        }
+    }
+}
+
+#[test]
+fn what_is_no_ray_meets_nothing() {
+    let scene = box_in_box(2).map(|v| 0.25 * v).scene();
+    let bad = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e308, -1e308];
+    for instructions in Instructions::available() {
+        let bvh = Bvh::of_scene(&scene).with_instructions(instructions);
+        for (k, &x) in bad.iter().enumerate() {
+            for mask in 1..8 {
+                let at = |axis: usize, good: f64| if mask >> axis & 1 != 0 { x } else { good };
+                let point = vec3(at(0, 0.1), at(1, 0.1), at(2, 0.1));
+                // In a block with sound rays, which are answered all the same.
+                let sound = Ray { origin: Vec3::splat(0.02), direction: Vec3::X, exclude: NO_PATCH };
+                let origin = Ray { origin: point, ..sound };
+                let direction = Ray { direction: point, ..sound };
+                let hits = bvh.closest(&[sound, origin, direction, sound]);
+                assert!(hits[0].is_some() && hits[0] == hits[3], "{instructions:?}");
+                // From beyond all numbers, or straight to infinity; 1e308 is a direction like any other.
+                let aims = k > 2;
+                assert!((hits[1].is_none() || aims) && hits[2].is_some() == aims, "{instructions:?}: {point}");
+                for (start, end) in [(point, Vec3::splat(0.1)), (Vec3::splat(0.1), point), (point, point)] {
+                    let segments = vec![Segment { start, end, exclude: NOBODY }; 3];
+                    assert_eq!(bvh.blocked(&segments), bvh.blocked_between(&segments), "{instructions:?}: {point}");
+                }
+            }
+        }
+        let none = Ray { origin: Vec3::splat(0.1), direction: Vec3::ZERO, exclude: NO_PATCH };
+        assert_eq!(bvh.closest(&[none]), [None]);
+    }
+}
+
+#[test]
+fn bundles_pass_dust_like_single_segments() {
+    // Triangles down to 1e-7 of the scene between two large patches: segments far from them must not be told hit.
+    let random = Random::new(39);
+    let walls = [
+        [vec3(-1.0, -1.0, -1.0), vec3(1.0, -1.0, -1.0), vec3(0.0, 1.0, -1.0)],
+        [vec3(-1.0, -1.0, 1.0), vec3(0.0, 1.0, 1.0), vec3(1.0, -1.0, 1.0)],
+    ];
+    let mut near = 0;
+    for size in [1e-3, 1e-5, 1e-6, 1e-7] {
+        for _ in 0..30 {
+            let mut triangles = walls.to_vec();
+            let centre = 0.3 * random.in_cube();
+            triangles.push(random.triangle(centre, size));
+            let scene = Mesh::of_triangles(&triangles).scene();
+            // Through the dust, just beside it, and anywhere.
+            let segments: Vec<Segment> = (0..256)
+                .map(|k| {
+                    let start = point_in_triangle(&walls[0], random.uniform(), random.uniform());
+                    let other = point_in_triangle(&walls[1], random.uniform(), random.uniform());
+                    let through = centre + size * random.in_cube();
+                    let end = start + (through - start) * (2.0 / (through.z - start.z));
+                    Segment { start, end: if k % 4 == 0 { other } else { end }, exclude: [0, 1] }
+                })
+                .collect();
+            let expected = Bvh::of_scene(&scene).with_instructions(Instructions::Portable).blocked(&segments);
+            near += expected.iter().filter(|blocked| **blocked).count();
+            for instructions in Instructions::available() {
+                let bvh = Bvh::of_scene(&scene).with_instructions(instructions);
+                assert_eq!(bvh.blocked(&segments), expected, "{instructions:?}, size {size}");
+                assert_eq!(bvh.blocked_between(&segments), expected, "{instructions:?}, size {size}");
+            }
+        }
+    }
+    assert!(near > 1000, "{near}");
+}
+
+#[test]
+fn rays_from_very_far_do_not_escape() {
+    // The entry into the scene is rounded to 1e-16 of the distance: the ray is another one, but it meets the closed mesh.
+    let mesh = icosphere(3);
+    let scene = mesh.scene();
+    let bvh = Bvh::of_scene(&scene);
+    let random = Random::new(40);
+    for distance in [1e10, 1e12, 1e14] {
+        for _ in 0..2000 {
+            let origin = distance * random.direction();
+            let target = 0.3 * random.in_cube();
+            let hit = closest(&bvh, origin, target - origin).expect("the sphere");
+            // Within the sphere, and what that rounding amounts to.
+            assert!((hit.t - 1.0).abs() * distance < 2.0 + 1e-14 * distance, "{}", hit.t);
+            assert!(blocked(&bvh, origin, target, NOBODY) && blocked(&bvh, target, origin, NOBODY));
+        }
     }
 }
