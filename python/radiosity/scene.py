@@ -188,6 +188,10 @@ class Scene:
     def intersect(self, origins: Any, directions: Any, threads: int | None = None) -> Hits:
         """The first patch that each ray hits, from either side.
 
+        Watertight, and the same at any scale and place: what is hit is decided in double precision (Woop, Benthin &
+        Wald 2013). A ray does not hit the surface that it starts on: no patch whose plane its origin lies in as far as
+        rounding tells, and nothing within 1e-9 of the scene's size.
+
         Args:
             origins: (m, 3) starting points, m.
             directions: (m, 3) directions, of any length but 0.
@@ -205,7 +209,8 @@ class Scene:
     def occluded(self, p: Any, q: Any, threads: int | None = None) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(m,) whether a patch meets the open segment from ``p`` to ``q``, (m, 3) each.
 
-        Patches block from both sides. The ends themselves do not count: a point on a patch sees what is before it.
+        Watertight like :meth:`intersect`. Patches block from both sides. The ends themselves do not count: a point on a
+        patch sees what is before it.
 
         Raises:
             ValueError: shapes that differ, or a coordinate that is not finite.

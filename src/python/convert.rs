@@ -16,6 +16,17 @@ pub(super) fn points(array: &PyReadonlyArray2<f64>) -> PyResult<Vec<Vec3>> {
     Ok(array.as_array().rows().into_iter().map(|row| Vec3::new(row[0], row[1], row[2])).collect())
 }
 
+/// The rows of an (m, 3) array.
+pub(super) type Rows<'a> = &'a [[f64; 3]];
+
+/// An (m, 3) array in place, row by row in memory.
+pub(super) fn rows<'a>(array: &'a PyReadonlyArray2<f64>) -> PyResult<Rows<'a>> {
+    match (array.shape(), array.as_slice()) {
+        ([_, 3], Ok(slice)) if array.is_c_contiguous() => Ok(slice.as_chunks().0),
+        _ => Err(shape_error("(m, 3), C-contiguous,", array.shape())),
+    }
+}
+
 /// The error for an array of the wrong shape.
 pub(super) fn shape_error(expected: &str, got: &[usize]) -> PyErr {
     PyValueError::new_err(format!("an array of shape {expected} is expected, not {got:?}"))

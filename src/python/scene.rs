@@ -6,20 +6,21 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-use super::convert::{from_points, points, table, values, vector};
+use super::convert::{Rows, from_points, points, rows, shape_error, table, values, vector};
 use super::error::to_python;
 use super::run::{in_pool, run};
 use crate::error::{Error, Result};
 use crate::geometry::Vec3;
-use crate::progress::Progress;
 use crate::scene::{Description, Scene as CoreScene, Sides};
-use crate::visibility::{Bvh, NO_PATCH};
+use crate::visibility::{Bvh, NO_PATCH, Ray, Segment};
 
 /// Patch numbers, distances and barycentric coordinates of a batch of hits.
 type Hits<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>);
 
-/// Rays answered between two looks at the stop flag.
+/// Rays answered by one thread at a time.
 const BATCH: usize = 1024;
+/// Rays answered between two looks for Ctrl-C: a tenth of a second.
+const SHARE: usize = 256 * BATCH;
 
 #[pyclass(frozen, module = "radiosity._core")]
 pub(super) struct Scene {
@@ -108,18 +109,34 @@ impl Scene {
         directions: PyReadonlyArray2<f64>,
         threads: Option<usize>,
     ) -> PyResult<Hits<'py>> {
-        let (origins, directions) = (points(&origins)?, points(&directions)?);
+        let (origins, directions) = pair(&origins, &directions)?;
         let tree = self.tree(py)?;
-        let hits = run(py, threads, None, move |progress| {
-            check_rays(&[("origin", &origins), ("direction", &directions)])?;
-            if let Some(k) = directions.iter().position(|d| *d == Vec3::ZERO) {
-                return Err(Error::Invalid(format!("ray {k}: its direction is zero")));
-            }
-            batched(&origins, &directions, progress, |o, d| tree.closest(o, d))
+        py.detach(|| check_rays(&[("origin", origins), ("direction", directions)])).map_err(to_python)?;
+        if let Some(k) = directions.iter().position(|d| *d == [0.0; 3]) {
+            return Err(to_python(Error::Invalid(format!("ray {k}: its direction is zero"))));
+        }
+        let m = origins.len();
+        let (mut patches, mut distances, mut barycentric) = (vec![0; m], vec![0.0; m], vec![0.0; 2 * m]);
+        let answers = patches.chunks_mut(SHARE).zip(distances.chunks_mut(SHARE)).zip(barycentric.chunks_mut(2 * SHARE));
+        let questions = origins.chunks(SHARE).zip(directions.chunks(SHARE));
+        shares(py, threads, questions.zip(answers), |((origins, directions), ((patches, distances), barycentric))| {
+            let questions = origins.par_chunks(BATCH).zip(directions.par_chunks(BATCH));
+            let answers = patches.par_chunks_mut(BATCH).zip(distances.par_chunks_mut(BATCH));
+            let answers = answers.zip(barycentric.par_chunks_mut(2 * BATCH));
+            questions.zip(answers).for_each(|((origins, directions), ((patches, distances), barycentric))| {
+                let ray = |(o, d): (&[f64; 3], &[f64; 3])| Ray {
+                    origin: Vec3::from_array(*o),
+                    direction: Vec3::from_array(*d),
+                    exclude: NO_PATCH,
+                };
+                let rays: Vec<Ray> = origins.iter().zip(directions).map(ray).collect();
+                for (k, hit) in tree.closest(&rays).into_iter().enumerate() {
+                    patches[k] = hit.map_or(-1, |hit| i64::from(hit.patch));
+                    distances[k] = hit.map_or(f64::INFINITY, |hit| hit.t);
+                    barycentric[2 * k..][..2].copy_from_slice(&hit.map_or([f64::NAN; 2], |hit| hit.barycentric));
+                }
+            });
         })?;
-        let patches = hits.iter().map(|hit| hit.map_or(-1, |hit| i64::from(hit.patch))).collect();
-        let distances = hits.iter().map(|hit| hit.map_or(f64::INFINITY, |hit| hit.t)).collect();
-        let barycentric = hits.iter().flat_map(|hit| hit.map_or([f64::NAN; 2], |hit| hit.barycentric)).collect();
         Ok((vector(py, patches), vector(py, distances), table(py, barycentric, 2)?))
     }
 
@@ -130,39 +147,54 @@ impl Scene {
         q: PyReadonlyArray2<f64>,
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyArray1<bool>>> {
-        let (p, q) = (points(&p)?, points(&q)?);
+        let (p, q) = pair(&p, &q)?;
         let tree = self.tree(py)?;
-        let blocked = run(py, threads, None, move |progress| {
-            check_rays(&[("start", &p), ("end", &q)])?;
-            batched(&p, &q, progress, |p, q| tree.blocked(p, q, [NO_PATCH; 2]))
+        py.detach(|| check_rays(&[("start", p), ("end", q)])).map_err(to_python)?;
+        let mut blocked = vec![false; p.len()];
+        let questions = p.chunks(SHARE).zip(q.chunks(SHARE));
+        shares(py, threads, questions.zip(blocked.chunks_mut(SHARE)), |((p, q), blocked)| {
+            let questions = p.par_chunks(BATCH).zip(q.par_chunks(BATCH));
+            questions.zip(blocked.par_chunks_mut(BATCH)).for_each(|((p, q), blocked)| {
+                let segment = |(p, q): (&[f64; 3], &[f64; 3])| Segment {
+                    start: Vec3::from_array(*p),
+                    end: Vec3::from_array(*q),
+                    exclude: [NO_PATCH; 2],
+                };
+                let segments: Vec<Segment> = p.iter().zip(q).map(segment).collect();
+                blocked.copy_from_slice(&tree.blocked(&segments));
+            });
         })?;
         Ok(vector(py, blocked))
     }
 }
 
-fn check_rays(ends: &[(&str, &[Vec3])]) -> Result<()> {
+/// Two arrays of as many rows.
+fn pair<'a>(a: &'a PyReadonlyArray2<f64>, b: &'a PyReadonlyArray2<f64>) -> PyResult<(Rows<'a>, Rows<'a>)> {
+    match (rows(a)?, rows(b)?) {
+        (a, b) if a.len() == b.len() => Ok((a, b)),
+        (a, b) => Err(shape_error(&format!("({}, 3)", a.len()), &[b.len(), 3])),
+    }
+}
+
+fn check_rays(ends: &[(&str, Rows)]) -> Result<()> {
     let mut problems = Vec::new();
     for (name, points) in ends {
-        let bad = points.iter().enumerate().filter(|(_, p)| !p.is_finite()).take(8);
-        problems.extend(bad.map(|(k, p)| format!("ray {k}: its {name} {p} is not finite")));
+        let bad = points.iter().enumerate().filter(|(_, p)| !p.iter().all(|x| x.is_finite())).take(8);
+        problems.extend(bad.map(|(k, p)| format!("ray {k}: its {name} {} is not finite", Vec3::from_array(*p))));
     }
     Error::from_problems(problems)
 }
 
-fn batched<T: Send>(
-    a: &[Vec3],
-    b: &[Vec3],
-    progress: &Progress,
-    answer: impl Fn(Vec3, Vec3) -> T + Sync,
-) -> Result<Vec<T>> {
-    progress.expect(a.len() as u64);
-    let batches: Result<Vec<Vec<T>>> = a
-        .par_chunks(BATCH)
-        .zip(b.par_chunks(BATCH))
-        .map(|(a, b)| {
-            progress.advance(a.len() as u64)?;
-            Ok(a.iter().zip(b).map(|(a, b)| answer(*a, *b)).collect())
-        })
-        .collect();
-    Ok(batches?.into_iter().flatten().collect())
+/// Does `work` on one share after the other, off the GIL, and looks for Ctrl-C in between.
+fn shares<S: Send>(
+    py: Python<'_>,
+    threads: Option<usize>,
+    shares: impl Iterator<Item = S>,
+    work: impl Fn(S) + Sync,
+) -> PyResult<()> {
+    for share in shares {
+        py.detach(|| in_pool(threads, || work(share)))?;
+        py.check_signals()?;
+    }
+    Ok(())
 }

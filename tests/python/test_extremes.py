@@ -169,3 +169,11 @@ def test_a_forked_process_computes_too():
     expected = _row_sum(0.7)
     with multiprocessing.get_context("fork").Pool(2) as pool:
         assert pool.map_async(_row_sum, [0.7, 0.7]).get(timeout=60) == [expected, expected]
+
+
+def test_rays_from_beyond_all_bounds_hit_nothing_and_harm_nothing():
+    # Coordinates that are numbers, but no longer so in units of the scene.
+    room = rad.scenes.furnace()
+    room = rad.Scene(0.5 * room.vertices, room.faces)
+    assert room.occluded([[1e308] * 3], [[0.1] * 3]).tolist() == [False]
+    assert room.intersect([[1e308, 0, 0]], [[-1.0, 0, 0]]).patch.tolist() == [-1]

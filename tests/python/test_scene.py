@@ -134,3 +134,57 @@ def test_occluded():
     blocked = scene.occluded([above, below, above, above, on], [below, above, beside, on, below])
     # Both directions are blocked; the ends of a segment do not block it.
     assert blocked.tolist() == [True, True, False, False, False]
+
+
+def test_rays_do_not_hit_the_surface_that_they_start_on():
+    room = rad.scenes.furnace(max_edge=0.5)
+    hits = room.intersect(room.centroids, room.normals)
+    # The opposite wall of the unit cube, straight ahead.
+    assert np.allclose(hits.distance, 1.0, rtol=0, atol=1e-12)
+    assert np.array_equal(room.normals[hits.patch], -room.normals)
+
+
+def test_large_batches_give_what_single_rays_give_on_any_number_of_threads():
+    scene = rad.scenes.two_rooms()
+    rng = np.random.default_rng(3)
+    # More than one share between two looks for Ctrl-C, and no multiple of a batch.
+    origins = rng.uniform(scene.vertices.min(axis=0), scene.vertices.max(axis=0), (300_001, 3))
+    directions = rng.normal(size=origins.shape)
+    one, two = (scene.intersect(origins, directions, threads=threads) for threads in (1, 2))
+    for a, b in zip(one, two, strict=True):
+        assert np.array_equal(a, b, equal_nan=True)
+    for k in (0, 1023, 1024, 262_143, 262_144, 300_000):
+        single = scene.intersect(origins[k : k + 1], directions[k : k + 1])
+        assert single.patch[0] == one.patch[k]
+        assert single.distance[0] == one.distance[k]
+    ends = origins + directions
+    blocked = scene.occluded(origins, ends)
+    assert 0.1 < blocked.mean() < 0.9
+    # A hit before the end is what blocks, but for hits at the very end.
+    assert np.array_equal(blocked, one.distance < 1.0)
+
+
+def test_no_rays_give_no_hits():
+    scene = rad.scenes.furnace()
+    hits = scene.intersect(np.empty((0, 3)), np.empty((0, 3)))
+    assert hits.patch.shape == (0,)
+    assert hits.barycentric.shape == (0, 2)
+    assert scene.occluded(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
+
+
+def test_rays_that_are_no_rays_are_refused():
+    scene = rad.scenes.furnace()
+    for bad in (np.nan, np.inf, -np.inf):
+        rays = np.ones((3, 3))
+        rays[2, 1] = bad
+        with pytest.raises(ValueError, match="ray 2: its origin"):
+            scene.intersect(rays, np.ones((3, 3)))
+        with pytest.raises(ValueError, match="ray 2: its direction"):
+            scene.intersect(np.ones((3, 3)), rays)
+        with pytest.raises(ValueError, match="ray 2: its end"):
+            scene.occluded(np.ones((3, 3)), rays)
+
+
+def test_patches_without_area_are_refused_by_name():
+    with pytest.raises(ValueError, match="patch 1: area"):
+        rad.Scene([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], [[0, 1, 2], [0, 1, 3]])
