@@ -28,6 +28,7 @@ lint: .venv/test
 	$(BIN)/python -m mypy.stubtest radiosity._core
 
 bench: .venv/test
+	$(PIP) embreex || echo "embreex cannot be installed here: no comparison with Embree"
 	for bench in benches/*.py; do $(BIN)/python $$bench || exit 1; done
 
 # The environment is made anew when what it is built from has changed.
