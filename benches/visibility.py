@@ -83,9 +83,9 @@ def batches(scenes: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
     except ImportError:
         print("\nembreex is not installed: no comparison from Python")
         return
-    print(f"\nBatches of {RAYS:,} rays from Python, million rays/s, median of {RUNS} runs. embreex: one thread, float32")
-    print("in, patch number out, and with output=True all that it has; radiosity: float64 in, patch, distance and")
-    print("barycentric coordinates out, one thread and two.\n")
+    print(f"\nBatches of {RAYS:,} rays from Python, million rays/s, median of {RUNS} runs. embreex: one thread,")
+    print("float32 in, patch number out, and with output=True all that it has; radiosity: float64 in, patch, distance")
+    print("and barycentric coordinates out, one thread and two.\n")
     print("| scene | embreex | embreex, all | radiosity, 1 thread | ratio | ratio to all | 2 threads | 2 to 1 |")
     print("|---|---|---|---|---|---|---|---|")
     rng = np.random.default_rng(2)

@@ -276,7 +276,9 @@ fn travel<M: Machine>(
             let node = &bvh.wide.nodes[current as usize];
             let mut rest = bundle.boxes::<M::Eight>(node);
             while rest != 0 {
-                stack.push(node.children[rest.trailing_zeros() as usize & 7]);
+                let child = node.children[rest.trailing_zeros() as usize & 7];
+                bvh.wide.prefetch(child);
+                stack.push(child);
                 rest &= rest - 1;
             }
             continue;
