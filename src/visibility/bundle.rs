@@ -356,5 +356,16 @@ fn travel_all<M: Machine>(bvh: &Bvh, segments: &[Segment], blocked: &mut [bool])
 
 for_every_machine! {
     /// Whether each segment is blocked; all have the same two patches at their ends. The tree must not be empty.
-    pub(super) fn blocked(bvh: &Bvh, segments: &[Segment], blocked: &mut [bool]) -> () = travel_all
+    fn blocked_by(bvh: &Bvh, segments: &[Segment], blocked: &mut [bool]) -> () = travel_all
+}
+
+impl Bvh {
+    /// The same as [`Bvh::blocked`], faster, for segments between one pair of patches: all must exclude the same two.
+    pub fn blocked_between(&self, segments: &[Segment]) -> Vec<bool> {
+        let mut blocked = vec![false; segments.len()];
+        if !self.is_empty() {
+            blocked_by(self.instructions, self, segments, &mut blocked);
+        }
+        blocked
+    }
 }

@@ -10,10 +10,8 @@ use std::collections::hash_map::Entry;
 use glam::Vec3A;
 
 use super::build::{Bounds, binary_tree};
-use super::bundle;
-use super::ray::{Hit, Ray, Segment};
+use super::ray::Hit;
 use super::simd::Instructions;
-use super::traverse;
 use super::wide::Wide;
 use crate::geometry::polygon::area_vector;
 use crate::geometry::sampling::hash;
@@ -47,7 +45,7 @@ pub struct Bvh {
     /// How far rounding may have moved a corner, in normalised coordinates.
     pub(super) rounding: f64,
     pub(super) own_reach: f32,
-    instructions: Instructions,
+    pub(super) instructions: Instructions,
 }
 
 impl Bvh {
@@ -128,35 +126,6 @@ impl Bvh {
     #[inline(always)]
     pub(super) fn normalise(&self, x: Vec3) -> Vec3 {
         (x - self.centre) * self.scale
-    }
-
-    /// What each ray meets first, other than the surface that it starts on.
-    ///
-    /// Give many at once: some hundreds, and they need not have anything in common.
-    pub fn closest(&self, rays: &[Ray]) -> Vec<Option<Hit>> {
-        let mut hits = vec![None; rays.len()];
-        if !self.is_empty() {
-            traverse::closest(self.instructions, self, rays, &mut hits);
-        }
-        hits
-    }
-
-    /// Whether anything meets the open segments, other than the surfaces at their ends. Give many at once.
-    pub fn blocked(&self, segments: &[Segment]) -> Vec<bool> {
-        let mut blocked = vec![false; segments.len()];
-        if !self.is_empty() {
-            traverse::blocked(self.instructions, self, segments, &mut blocked);
-        }
-        blocked
-    }
-
-    /// The same as [`Bvh::blocked`], faster, for segments between one pair of patches: all must exclude the same two.
-    pub fn blocked_between(&self, segments: &[Segment]) -> Vec<bool> {
-        let mut blocked = vec![false; segments.len()];
-        if !self.is_empty() {
-            bundle::blocked(self.instructions, self, segments, &mut blocked);
-        }
-        blocked
     }
 
     /// Where a patch lies in the order of the leaves.

@@ -432,9 +432,9 @@ pub(super) fn prefetch(pointer: *const u8, bytes: usize) {
 
 /// Compiles `kernel::<M>(..)` for every machine, as one function that takes the [`Instructions`] first.
 macro_rules! for_every_machine {
-    ($(#[$doc:meta])* pub(super) fn $name:ident($($arg:ident: $type:ty),* $(,)?) -> $out:ty = $kernel:ident) => {
+    ($(#[$doc:meta])* fn $name:ident($($arg:ident: $type:ty),* $(,)?) -> $out:ty = $kernel:ident) => {
         $(#[$doc])*
-        pub(super) fn $name(instructions: $crate::visibility::simd::Instructions, $($arg: $type),*) -> $out {
+        fn $name(instructions: $crate::visibility::simd::Instructions, $($arg: $type),*) -> $out {
             use $crate::visibility::simd;
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt")]

@@ -387,10 +387,32 @@ fn blocked_of_all<M: Machine>(bvh: &Bvh, segments: &[Segment], blocked: &mut [bo
 
 for_every_machine! {
     /// The first hit of every ray. The tree must not be empty.
-    pub(super) fn closest(bvh: &Bvh, rays: &[Ray], hits: &mut [Option<Hit>]) -> () = closest_of_all
+    fn first_hits(bvh: &Bvh, rays: &[Ray], hits: &mut [Option<Hit>]) -> () = closest_of_all
 }
 
 for_every_machine! {
     /// Whether each segment is blocked. The tree must not be empty.
-    pub(super) fn blocked(bvh: &Bvh, segments: &[Segment], blocked: &mut [bool]) -> () = blocked_of_all
+    fn blocked_by(bvh: &Bvh, segments: &[Segment], blocked: &mut [bool]) -> () = blocked_of_all
+}
+
+impl Bvh {
+    /// What each ray meets first, other than the surface that it starts on.
+    ///
+    /// Give many at once: some hundreds, and they need not have anything in common.
+    pub fn closest(&self, rays: &[Ray]) -> Vec<Option<Hit>> {
+        let mut hits = vec![None; rays.len()];
+        if !self.is_empty() {
+            first_hits(self.instructions, self, rays, &mut hits);
+        }
+        hits
+    }
+
+    /// Whether anything meets the open segments, other than the surfaces at their ends. Give many at once.
+    pub fn blocked(&self, segments: &[Segment]) -> Vec<bool> {
+        let mut blocked = vec![false; segments.len()];
+        if !self.is_empty() {
+            blocked_by(self.instructions, self, segments, &mut blocked);
+        }
+        blocked
+    }
 }
