@@ -7,11 +7,12 @@
 
 use super::block::HALF;
 use super::bvh::Bvh;
-use super::intersect::main_axis;
+use super::intersect::{ACROSS, main_axis};
 use super::ray::Segment;
 use super::sift::Edges;
 use super::simd::{Lanes, Machine, for_every_machine};
 use super::wide::{COORDINATE_ERROR, LEAF, Node, Pack};
+use crate::geometry::Vec3;
 
 /// Segments that travel together.
 const MOST: usize = 64;
@@ -116,15 +117,9 @@ impl Bundle {
             sum.store(&mut lanes);
             sums[axis] = lanes.iter().sum::<f32>();
         }
-        let size = sums.map(f32::abs);
-        self.axes = if size[0] > size[1] && size[0] > size[2] {
-            [1, 2, 0]
-        } else if size[1] > size[2] {
-            [2, 0, 1]
-        } else {
-            [0, 1, 2]
-        };
-        let [x, y, z] = self.axes;
+        let z = main_axis(Vec3::from_array(sums.map(f64::from)));
+        let [x, y] = ACROSS[z].map(|axis| axis as usize);
+        self.axes = [x, y, z];
         self.sign = 1f32.copysign(sums[z]);
         // What is no number does not count here, but has neither slope nor length.
         let mut fits = reach.le(V::splat(HALF as f32 * 1.001));
