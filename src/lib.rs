@@ -25,7 +25,7 @@
 //! - [`solve`]: matrix inversion, Jacobi, Gauss-Seidel, Southwell, GMRES
 //! - [`render`]: pictures of a solution
 //!
-//! [`error`] and [`progress`] serve all of them. The core knows no Python, prints nothing, reads no files.
+//! [`error`], [`progress`] and [`simd`] serve all of them. The core knows no Python, prints nothing, reads no files.
 //!
 //! References: M. F. Cohen & J. R. Wallace, "Radiosity and Realistic Image Synthesis", 1993; F. X. Sillion & C. Puech,
 //! "Radiosity and Global Illumination", 1994.
@@ -37,6 +37,7 @@ pub mod geometry;
 pub mod progress;
 pub mod render;
 pub mod scene;
+mod simd;
 pub mod solve;
 pub mod visibility;
 

@@ -12,8 +12,7 @@ use super::FormFactors;
 use super::matrix::add_scaled;
 use crate::error::{Error, Result};
 use crate::form_factor::occluded::{End, visible_fraction};
-use crate::form_factor::{Accuracy, Scratch, Shape, exchange};
-use crate::geometry::Triangle;
+use crate::form_factor::{Accuracy, Batch, Patch};
 use crate::geometry::sampling::hash;
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -307,8 +306,7 @@ fn unoccluded(
 ) -> Result<Vec<Candidate>> {
     let n = scene.len();
     progress.expect(packed.len() as u64);
-    let triangles: Vec<Triangle> = (0..n).map(|i| scene.triangle(i)).collect();
-    let shapes: Vec<Shape> = triangles.iter().map(|t| Shape::new(t)).collect();
+    let patches: Vec<Patch> = (0..n).map(|i| Patch::new(scene.triangle(i))).collect();
     let mut rows = Vec::with_capacity(n);
     let mut rest = packed;
     for i in 0..n {
@@ -320,15 +318,13 @@ fn unoccluded(
     let found: Result<Vec<Vec<Candidate>>> = rows
         .into_par_iter()
         .rev()
-        .map_init(Scratch::default, |scratch, (i, row)| {
+        .map_init(Batch::new, |batch, (i, row)| {
             let mut candidates = Vec::new();
-            for (j, g) in row.iter_mut().enumerate() {
-                if !may_face(&shapes[i], &shapes[j]) {
-                    continue;
-                }
-                *g = exchange(&shapes[i], &shapes[j], accuracy, scratch);
+            let pairs: Vec<[u32; 2]> = (0..i as u32).map(|j| [i as u32, j]).collect();
+            batch.exchange_pairs(&patches, &patches, &pairs, &accuracy, row);
+            for (j, g) in row.iter().enumerate() {
                 let ids = [i as u32, j as u32];
-                if *g > 0.0 && !blockers.shaft_is_empty(&triangles[i], &triangles[j], ids) {
+                if *g > 0.0 && !blockers.shaft_is_empty(&patches[i].corners, &patches[j].corners, ids) {
                     candidates.push(Candidate {
                         i: i as u32,
                         j: j as u32,
@@ -348,13 +344,6 @@ fn unoccluded(
         })
         .collect();
     Ok(found?.into_iter().flatten().collect())
-}
-
-/// Whether each patch reaches before the plane of the other, by its bounding sphere.
-#[inline]
-fn may_face(a: &Shape, b: &Shape) -> bool {
-    let between = b.centre - a.centre;
-    a.normal.dot(between) > -b.radius && b.normal.dot(-between) > -a.radius
 }
 
 /// Estimates the visible fraction of every candidate with segments to cast; returns how many were cast.

@@ -13,6 +13,7 @@
 //! | [`point_to_polygon`] | Lambert's closed form from points of the smaller polygon | middle distances, very unequal sizes |
 //! | [`contour`] | double line integral, the inner one analytic | touching and close pairs |
 //! | [`select`] | which of them, for a tolerance | |
+//! | [`batch`] | many pairs, eight at a time | |
 //! | [`occluded`] | the visible fraction V of a pair | |
 //!
 //! # Example
@@ -23,21 +24,24 @@
 //! let a = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]].map(Vec3::from);
 //! let b = [[0., 0., 1.], [0., 1., 1.], [1., 1., 1.], [1., 0., 1.]].map(Vec3::from);
 //! let (a, b) = (Shape::new(&a), Shape::new(&b));
-//! let f_ab = exchange(&a, &b, Accuracy::new(1e-8)?, &mut Default::default()) / a.area;
+//! let f_ab = exchange(&a, &b, &Accuracy::new(1e-8)?) / a.area;
 //! assert!((f_ab - 0.199824895698).abs() < 1e-11);
 //! # Ok::<(), radiosity::Error>(())
 //! ```
 
 pub mod area_quadrature;
+pub mod batch;
 pub mod contour;
 pub mod occluded;
 pub mod point_to_polygon;
 pub mod select;
 
-pub use select::{Accuracy, Scratch, exchange};
+pub use batch::{Batch, Patch};
+pub use select::{Accuracy, Kernel};
 
 use crate::geometry::Vec3;
 use crate::geometry::polygon::{area_vector, centre};
+use crate::simd::double::Vectors;
 
 /// A planar convex polygon with what every kernel asks of it.
 #[derive(Debug, Clone, Copy)]
@@ -68,4 +72,18 @@ impl<'a> Shape<'a> {
         let radius = corners.iter().map(|v| v.distance_squared(centre)).fold(0.0, f64::max).sqrt();
         Shape { corners, normal, area, centre, radius }
     }
+}
+
+/// Polygons side by side, one a lane, padded to the same number of corners by repeating the last: what the kernels work on.
+pub(crate) struct Polygons<'a, D> {
+    pub(crate) corners: &'a [Vectors<D>],
+    pub(crate) normal: Vectors<D>,
+}
+
+/// The unoccluded exchange G_ab = A_a F_ab = A_b F_ba of two polygons, m^2, whatever their position.
+///
+/// Exactly symmetric in its arguments. What lies behind the other polygon's plane is cut off first; 0 for pairs that
+/// face away or share a plane.
+pub fn exchange(a: &Shape, b: &Shape, accuracy: &Accuracy) -> f64 {
+    Batch::new().exchange(a, b, accuracy)
 }

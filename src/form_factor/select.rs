@@ -5,154 +5,123 @@
 //! threshold that kept 99.9 % of some thousand mixed pairs inside the tolerance with a safety of 4; pairs that no ratio
 //! admits go to the contour integral.
 
-use super::{Shape, area_quadrature, contour, point_to_polygon};
 use crate::error::{Error, Result};
-use crate::geometry::Vec3;
-use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
 use crate::geometry::quadrature::TriangleRule;
 
-/// Largest ratios for a tolerance: area quadrature with 3 and 6 points, point-to-polygon with 7, 12 and 16 points.
+/// How a pair is computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kernel {
+    /// [`super::area_quadrature`] with the points of a rule on both.
+    Area(TriangleRule),
+    /// [`super::point_to_polygon`] from the points of a rule on the smaller.
+    Point(TriangleRule),
+    /// [`super::contour`].
+    Contour,
+}
+
+impl Kernel {
+    /// All kernels that may be chosen, in the order of their cost.
+    pub const ALL: [Kernel; 7] = {
+        use TriangleRule::{P3, P6, P7, P12, P16};
+        [
+            Kernel::Area(P3),
+            Kernel::Area(P6),
+            Kernel::Point(P7),
+            Kernel::Area(P12),
+            Kernel::Point(P12),
+            Kernel::Point(P16),
+            Kernel::Contour,
+        ]
+    };
+
+    /// A short name for tables.
+    pub fn name(self) -> String {
+        match self {
+            Kernel::Area(rule) => format!("area {rule:?}"),
+            Kernel::Point(rule) => format!("point {rule:?}"),
+            Kernel::Contour => "contour".to_string(),
+        }
+    }
+}
+
+/// The largest ratios for a tolerance, one for each of [`Kernel::ALL`] but the last.
 #[derive(Debug, Clone, Copy)]
 struct Thresholds {
     tolerance: f64,
-    area: [(TriangleRule, f64); 2],
-    point: [(TriangleRule, f64); 3],
-}
-
-const fn row(tolerance: f64, a3: f64, a6: f64, l7: f64, l12: f64, l16: f64) -> Thresholds {
-    use TriangleRule::{P3, P6, P7, P12, P16};
-    Thresholds { tolerance, area: [(P3, a3), (P6, a6)], point: [(P7, l7), (P12, l12), (P16, l16)] }
+    most: [f64; 6],
 }
 
 /// Measured against triangle pairs with form factors known to 300 bits (tests/data/README.md).
-const TABLE: [Thresholds; 5] = [
-    row(1e-2, 0.242, 0.518, 0.549, 0.817, 1.44),
-    row(1e-3, 0.106, 0.435, 0.423, 0.761, 0.817),
-    row(1e-4, 0.043, 0.241, 0.239, 0.505, 0.720),
-    row(1e-6, 0.012, 0.103, 0.079, 0.239, 0.366),
-    row(1e-8, 0.002, 0.032, 0.039, 0.126, 0.209),
+const TABLE: [Thresholds; 6] = [
+    Thresholds { tolerance: 1e-2, most: [0.242, 0.518, 0.549, 0.623, 0.817, 1.44] },
+    Thresholds { tolerance: 1e-3, most: [0.106, 0.435, 0.423, 0.518, 0.761, 0.817] },
+    Thresholds { tolerance: 1e-4, most: [0.043, 0.241, 0.239, 0.505, 0.505, 0.720] },
+    Thresholds { tolerance: 1e-6, most: [0.012, 0.103, 0.079, 0.284, 0.239, 0.366] },
+    Thresholds { tolerance: 1e-8, most: [0.002, 0.032, 0.039, 0.106, 0.126, 0.209] },
+    Thresholds { tolerance: 1e-10, most: [0.0002, 0.01, 0.012, 0.05, 0.05, 0.1] },
 ];
 
 /// A relative tolerance for the form factor of one unoccluded pair.
 #[derive(Debug, Clone, Copy)]
 pub struct Accuracy {
     thresholds: Thresholds,
+    forced: bool,
 }
 
 impl Accuracy {
-    /// The tightest tolerance that can be asked for.
-    pub const TIGHTEST: f64 = 1e-8;
+    /// The tightest tolerance that can be asked for; rounding may leave more at slivers and narrow gaps below 1e-8.
+    pub const TIGHTEST: f64 = 1e-10;
 
     /// # Errors
-    /// [`Error::Invalid`] when `tolerance` is outside [1e-8, 1).
+    /// [`Error::Invalid`] when `tolerance` is outside [1e-10, 1).
     pub fn new(tolerance: f64) -> Result<Accuracy> {
         if !(Self::TIGHTEST..1.0).contains(&tolerance) {
             return Err(Error::Invalid(format!("tolerance {tolerance} is outside [{:e}, 1)", Self::TIGHTEST)));
         }
-        // The loosest row that is at least as tight as asked; tolerances above 1e-2 are served by the first row. The
-        // last row always qualifies.
-        let thresholds = TABLE.into_iter().find(|row| row.tolerance <= tolerance).unwrap_or(TABLE[TABLE.len() - 1]);
-        Ok(Accuracy { thresholds })
+        // Errors are powers of the ratio: thresholds are straight lines between logarithms. Tolerances above 1e-2 are
+        // served by the first row.
+        let above = TABLE.iter().take_while(|row| row.tolerance >= tolerance).count();
+        let (low, high) = (TABLE[above.min(TABLE.len() - 1)], TABLE[above.saturating_sub(1)]);
+        if above == 0 || above == TABLE.len() {
+            return Ok(Accuracy { thresholds: high, forced: false });
+        }
+        let part = (tolerance / low.tolerance).ln() / (high.tolerance / low.tolerance).ln();
+        let between = |k: usize| low.most[k] * (high.most[k] / low.most[k]).powf(part);
+        Ok(Accuracy { thresholds: Thresholds { tolerance, most: std::array::from_fn(between) }, forced: false })
     }
 
-    /// The relative error that is kept, at most what was asked. 99.9 % of all kinds of pairs are inside it and the rest
-    /// within a small multiple, save for slivers of aspect above 1e3 or gaps below 1e-4 of the size at 1e-6 and tighter,
-    /// where rounding alone can cost more.
+    /// One kernel for every pair, whether it suits or not: what tables of error and cost are made of.
+    pub fn by(kernel: Kernel) -> Accuracy {
+        let most = std::array::from_fn(|k| if Kernel::ALL[k] == kernel { f64::INFINITY } else { 0.0 });
+        Accuracy { thresholds: Thresholds { tolerance: Accuracy::TIGHTEST, most }, forced: true }
+    }
+
+    pub(super) fn is_forced(&self) -> bool {
+        self.forced
+    }
+
+    /// The relative error that is kept, at most what was asked: by 99.9 % of all kinds of pairs, and by the rest within
+    /// a small multiple.
     pub fn tolerance(&self) -> f64 {
         self.thresholds.tolerance
     }
+
+    /// The cheapest kernel for a pair with these ratios, as an index of [`Kernel::ALL`].
+    #[inline]
+    pub(super) fn choice(&self, q_area: f64, q_point: f64) -> usize {
+        Kernel::ALL
+            .iter()
+            .zip(&self.thresholds.most)
+            .position(|(kernel, most)| match kernel {
+                Kernel::Area(_) => q_area < *most,
+                Kernel::Point(_) | Kernel::Contour => q_point < *most,
+            })
+            .unwrap_or(Kernel::ALL.len() - 1)
+    }
 }
 
-/// The relative error that the 16-point rule is known to keep at a ratio q_point; infinite beyond the table.
-fn densest_point_error(q_point: f64) -> f64 {
-    let known = TABLE
-        .iter()
-        .rev()
-        .find(|row| row.point.iter().any(|&(rule, limit)| rule == TriangleRule::P16 && q_point < limit));
+/// The relative error that the densest point rule is known to keep at a ratio q_point; infinite beyond the table.
+pub(super) fn densest_point_error(q_point: f64) -> f64 {
+    let known = TABLE.iter().rev().find(|row| q_point < row.most[5]);
     known.map_or(f64::INFINITY, |row| row.tolerance)
-}
-
-/// Memory reused from pair to pair.
-#[derive(Debug, Default)]
-pub struct Scratch {
-    corners: [Vec<Vec3>; 2],
-    clipped: [Vec<Vec3>; 2],
-}
-
-/// The unoccluded exchange G_ab = A_a F_ab = A_b F_ba of two polygons, m^2, whatever their position.
-///
-/// Exactly symmetric in its arguments. What lies behind the other polygon's plane is cut off first; 0 for pairs that
-/// face away or share a plane.
-pub fn exchange(a: &Shape, b: &Shape, accuracy: Accuracy, scratch: &mut Scratch) -> f64 {
-    let (small, large) = if is_smaller(a, b) { (a, b) } else { (b, a) };
-    // Coordinates relative to the smaller polygon: it is the one whose own digits are at stake.
-    let origin = small.corners[0];
-    let [corners_s, corners_l] = &mut scratch.corners;
-    let [clipped_s, clipped_l] = &mut scratch.clipped;
-    let s = local(small, origin, corners_s);
-    let l = local(large, origin, corners_l);
-    let Some(s_front) = in_front_of(&s, &l, clipped_s) else { return 0.0 };
-    let Some(l_front) = in_front_of(&l, &s, clipped_l) else { return 0.0 };
-    if s_front.area <= l_front.area {
-        exchange_in_front(&s_front, &l_front, accuracy)
-    } else {
-        exchange_in_front(&l_front, &s_front, accuracy)
-    }
-}
-
-/// A total order of polygons, so that (a, b) and (b, a) run the same instructions.
-fn is_smaller(a: &Shape, b: &Shape) -> bool {
-    let by_corners = || a.corners.iter().map(Vec3::to_array).le(b.corners.iter().map(Vec3::to_array));
-    a.area < b.area || (a.area == b.area && by_corners())
-}
-
-fn local<'a>(shape: &Shape, origin: Vec3, corners: &'a mut Vec<Vec3>) -> Shape<'a> {
-    corners.clear();
-    corners.extend(shape.corners.iter().map(|v| *v - origin));
-    Shape { corners, centre: shape.centre - origin, ..*shape }
-}
-
-/// The part of `a` before the plane of `b`.
-fn in_front_of<'a>(a: &Shape<'a>, b: &Shape, clipped: &'a mut Vec<Vec3>) -> Option<Shape<'a>> {
-    let plane = Plane { normal: b.normal, point: b.corners[0] };
-    // The common case first: the whole polygon lies clearly in front, or clearly behind.
-    let distance = plane.distance(a.centre);
-    if distance > 2.0 * a.radius {
-        return Some(*a);
-    }
-    if distance < -2.0 * a.radius {
-        return None;
-    }
-    clip_to_front(a.corners, &plane, clipped);
-    if clipped.len() < 3 {
-        return None;
-    }
-    let area = area_vector(clipped).length();
-    (area > 0.0).then(|| Shape::with_normal(clipped, a.normal, area))
-}
-
-fn exchange_in_front(small: &Shape, large: &Shape, accuracy: Accuracy) -> f64 {
-    let Thresholds { area, point, .. } = &accuracy.thresholds;
-    let distance = small.centre.distance(large.centre);
-    let q_area = (small.radius + large.radius) / distance;
-    for &(rule, limit) in area {
-        if q_area < limit {
-            return area_quadrature::exchange(small, large, rule);
-        }
-    }
-    let to_plane = large.normal.dot(small.centre - large.corners[0]).abs();
-    let q_point = small.radius / to_plane.max(distance - large.radius).max(f64::MIN_POSITIVE);
-    for &(rule, limit) in point {
-        if q_point < limit {
-            return point_to_polygon::exchange(small, large, rule);
-        }
-    }
-    let g = contour::exchange(small, large);
-    // Where cancellation has eaten the tolerance, the densest point rule is taken if it is known to lose less.
-    let rounding = contour::rounding(small, large, g);
-    if rounding <= accuracy.tolerance() * g || rounding <= densest_point_error(q_point) * g {
-        g
-    } else {
-        point_to_polygon::exchange(small, large, TriangleRule::P16)
-    }
 }

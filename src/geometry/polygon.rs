@@ -63,6 +63,33 @@ fn snapped_distance(plane: &Plane, x: Vec3) -> f64 {
     if d.abs() <= SNAP * (x - plane.point).abs().max_element() { 0.0 } else { d }
 }
 
+/// Where a polygon lies as seen from a plane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// In front, or touching the plane from there.
+    Front,
+    /// Behind, or in the plane.
+    Behind,
+    /// On both sides.
+    Across,
+}
+
+/// On which side of `plane` the corners lie, within rounding.
+#[inline]
+pub fn side_of(corners: &[Vec3], plane: &Plane) -> Side {
+    let (mut before, mut behind) = (false, false);
+    for &corner in corners {
+        let distance = snapped_distance(plane, corner);
+        before |= distance > 0.0;
+        behind |= distance < 0.0;
+    }
+    match (before, behind) {
+        (true, false) => Side::Front,
+        (false, _) => Side::Behind,
+        (true, true) => Side::Across,
+    }
+}
+
 /// The part of a convex polygon in front of a plane, in `out`; empty when nothing of positive area lies there.
 ///
 /// Sutherland & Hodgman 1974, one plane. Corners keep their order; corners within rounding of the plane are kept as

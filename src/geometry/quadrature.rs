@@ -57,22 +57,6 @@ const P16: &[Orbit] = &[
 ];
 
 impl TriangleRule {
-    /// Number of points.
-    pub fn len(self) -> usize {
-        match self {
-            TriangleRule::P3 => 3,
-            TriangleRule::P6 => 6,
-            TriangleRule::P7 => 7,
-            TriangleRule::P12 => 12,
-            TriangleRule::P16 => 16,
-        }
-    }
-
-    /// No rule is empty; here because `len` is.
-    pub fn is_empty(self) -> bool {
-        false
-    }
-
     /// The highest degree of polynomials that the rule integrates exactly.
     pub fn degree(self) -> usize {
         match self {
@@ -84,32 +68,20 @@ impl TriangleRule {
         }
     }
 
-    /// Calls `visit(barycentric, weight)` for every point; the weights sum to 1.
+    /// The points; the weights sum to 1.
     #[inline]
-    pub fn for_each(self, mut visit: impl FnMut([f64; 3], f64)) {
-        let orbits = match self {
-            TriangleRule::P3 => P3,
-            TriangleRule::P6 => P6,
-            TriangleRule::P7 => P7,
-            TriangleRule::P12 => P12,
-            TriangleRule::P16 => P16,
-        };
-        for orbit in orbits {
-            match *orbit {
-                Orbit::Centroid(weight) => visit([1.0 / 3.0; 3], weight),
-                Orbit::Three { a, weight } => {
-                    let c = 1.0 - 2.0 * a;
-                    visit([a, a, c], weight);
-                    visit([a, c, a], weight);
-                    visit([c, a, a], weight);
-                }
-                Orbit::Six { a, b, weight } => {
-                    let c = 1.0 - a - b;
-                    for point in [[a, b, c], [a, c, b], [b, a, c], [b, c, a], [c, a, b], [c, b, a]] {
-                        visit(point, weight);
-                    }
-                }
-            }
+    pub fn points(self) -> &'static [TrianglePoint] {
+        static POINTS_3: [TrianglePoint; 3] = expanded(P3);
+        static POINTS_6: [TrianglePoint; 6] = expanded(P6);
+        static POINTS_7: [TrianglePoint; 7] = expanded(P7);
+        static POINTS_12: [TrianglePoint; 12] = expanded(P12);
+        static POINTS_16: [TrianglePoint; 16] = expanded(P16);
+        match self {
+            TriangleRule::P3 => &POINTS_3,
+            TriangleRule::P6 => &POINTS_6,
+            TriangleRule::P7 => &POINTS_7,
+            TriangleRule::P12 => &POINTS_12,
+            TriangleRule::P16 => &POINTS_16,
         }
     }
 
@@ -119,19 +91,90 @@ impl TriangleRule {
         for k in 1..corners.len().saturating_sub(1) {
             let triangle: Triangle = [corners[0], corners[k], corners[k + 1]];
             let area = 0.5 * (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]).length();
-            self.for_each(|b, weight| {
+            for TrianglePoint { barycentric: b, weight } in self.points() {
                 visit(b[0] * triangle[0] + b[1] * triangle[1] + b[2] * triangle[2], weight * area);
-            });
+            }
         }
     }
 }
 
-/// Positive nodes and their weights of the 10-point Gauss-Legendre rule on [-1, 1], exact to degree 19.
-/// (Abramowitz & Stegun 1964, table 25.4.)
-pub const GAUSS_10: [(f64, f64); 5] = [
-    (0.148_874_338_981_631_22, 0.295_524_224_714_752_8),
-    (0.433_395_394_129_247_2, 0.269_266_719_309_995_95),
-    (0.679_409_568_299_024_4, 0.219_086_362_515_982),
-    (0.865_063_366_688_984_5, 0.149_451_349_150_580_4),
-    (0.973_906_528_517_171_7, 0.066_671_344_308_688_14),
-];
+/// A point of a triangle rule.
+#[derive(Debug, Clone, Copy)]
+pub struct TrianglePoint {
+    /// Barycentric coordinates.
+    pub barycentric: [f64; 3],
+    /// Weight, relative to the triangle's area.
+    pub weight: f64,
+}
+
+/// The points of all orbits of a rule.
+const fn expanded<const N: usize>(orbits: &[Orbit]) -> [TrianglePoint; N] {
+    let mut points = [TrianglePoint { barycentric: [1.0 / 3.0; 3], weight: 0.0 }; N];
+    let (mut next, mut k) = (0, 0);
+    while k < orbits.len() {
+        let (turns, count, weight) = match orbits[k] {
+            Orbit::Centroid(weight) => ([[1.0 / 3.0; 3]; 6], 1, weight),
+            Orbit::Three { a, weight } => {
+                let c = 1.0 - 2.0 * a;
+                ([[a, a, c], [a, c, a], [c, a, a], [a; 3], [a; 3], [a; 3]], 3, weight)
+            }
+            Orbit::Six { a, b, weight } => {
+                let c = 1.0 - a - b;
+                ([[a, b, c], [a, c, b], [b, a, c], [b, c, a], [c, a, b], [c, b, a]], 6, weight)
+            }
+        };
+        let mut turn = 0;
+        while turn < count {
+            points[next] = TrianglePoint { barycentric: turns[turn], weight };
+            next += 1;
+            turn += 1;
+        }
+        k += 1;
+    }
+    points
+}
+
+/// The highest number of points of a Gauss-Legendre rule that is tabulated.
+pub const MOST_GAUSS_POINTS: usize = 20;
+
+/// `GAUSS[n][..n]`: nodes on [-1, 1] and weights of the n-point Gauss-Legendre rule, exact to degree 2n - 1; zeros after.
+pub static GAUSS: [[(f64, f64); MOST_GAUSS_POINTS]; MOST_GAUSS_POINTS + 1] = {
+    let mut table = [[(0.0, 0.0); MOST_GAUSS_POINTS]; MOST_GAUSS_POINTS + 1];
+    let mut n = 1;
+    while n <= MOST_GAUSS_POINTS {
+        let mut k = 0;
+        while k < n {
+            table[n][k] = gauss_node(n, k);
+            k += 1;
+        }
+        n += 1;
+    }
+    table
+};
+
+/// Node k of n and its weight 2 / ((1 - x^2) P_n'(x)^2) (Abramowitz & Stegun 1964, 25.4.29), by Newton's method on the
+/// Legendre polynomial from the usual first guess cos(pi (k + 3/4) / (n + 1/2)).
+const fn gauss_node(n: usize, k: usize) -> (f64, f64) {
+    // cos t = sin(pi/2 - t), by its series.
+    let t = std::f64::consts::PI * (0.5 - (k as f64 + 0.75) / (n as f64 + 0.5));
+    let (mut term, mut x, mut power) = (t, t, 1.0);
+    while power < 24.0 {
+        term *= -t * t / ((power + 1.0) * (power + 2.0));
+        x += term;
+        power += 2.0;
+    }
+    let (mut slope, mut step) = (1.0, 0);
+    while step < 6 {
+        let (mut before, mut value, mut j) = (1.0, x, 1);
+        while j < n {
+            let next = ((2 * j + 1) as f64 * x * value - j as f64 * before) / (j + 1) as f64;
+            before = value;
+            value = next;
+            j += 1;
+        }
+        slope = n as f64 * (x * value - before) / (x * x - 1.0);
+        x -= value / slope;
+        step += 1;
+    }
+    (x, 2.0 / ((1.0 - x * x) * slope * slope))
+}

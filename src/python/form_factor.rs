@@ -9,12 +9,12 @@ use super::convert::{points, vector};
 use super::error::to_python;
 use super::run::run;
 use crate::error::Error;
-use crate::form_factor::{Accuracy, Scratch, Shape, exchange};
+use crate::form_factor::{Accuracy, Batch, Patch, Shape, exchange};
 use crate::geometry::polygon::defect;
 use crate::geometry::{Triangle, Vec3};
 
 /// Pairs computed between two looks at the stop flag.
-const BATCH: usize = 256;
+const BATCH: usize = 4096;
 
 #[pyfunction]
 pub(super) fn form_factor(
@@ -29,7 +29,7 @@ pub(super) fn form_factor(
         .filter_map(|(name, corners)| defect(corners).map(|what| format!("{name} {what}")));
     Error::from_problems(problems.collect()).map_err(to_python)?;
     let (a, b) = (Shape::new(&a), Shape::new(&b));
-    Ok(exchange(&a, &b, accuracy, &mut Scratch::default()) / a.area)
+    Ok(exchange(&a, &b, &accuracy) / a.area)
 }
 
 #[pyfunction]
@@ -52,16 +52,18 @@ pub(super) fn pair_form_factors<'py>(
         }
         Error::from_problems(problems)?;
         progress.expect(a.len() as u64);
+        let patches = |triangles: &[Triangle]| triangles.iter().map(|t| Patch::new(*t)).collect::<Vec<_>>();
+        let (a, b) = (patches(&a), patches(&b));
+        let pairs: Vec<[u32; 2]> = (0..BATCH as u32).map(|k| [k, k]).collect();
         let batches: Result<Vec<Vec<f64>>, Error> = a
             .par_chunks(BATCH)
             .zip(b.par_chunks(BATCH))
-            .map_init(Scratch::default, |scratch, (a, b)| {
+            .map_init(Batch::new, |batch, (a, b)| {
                 progress.advance(a.len() as u64)?;
-                let factor = |(a, b): (&Triangle, &Triangle)| {
-                    let (a, b) = (Shape::new(a), Shape::new(b));
-                    exchange(&a, &b, accuracy, scratch) / a.area
-                };
-                Ok(a.iter().zip(b).map(factor).collect())
+                let mut factors = vec![0.0; a.len()];
+                batch.exchange_pairs(a, b, &pairs[..a.len()], &accuracy, &mut factors);
+                factors.iter_mut().zip(a).for_each(|(f, a)| *f /= a.area);
+                Ok(factors)
             })
             .collect();
         Ok(batches?.concat())

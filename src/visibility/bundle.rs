@@ -10,7 +10,8 @@ use super::bvh::Bvh;
 use super::intersect::{ACROSS, main_axis};
 use super::ray::Segment;
 use super::sift::Edges;
-use super::simd::{Lanes, Machine, for_every_machine};
+use crate::simd::single::Lanes;
+use crate::simd::{Machine, for_every_machine};
 use super::wide::{COORDINATE_ERROR, LEAF, Node, Pack};
 use crate::geometry::Vec3;
 

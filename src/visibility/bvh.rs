@@ -11,7 +11,7 @@ use glam::Vec3A;
 
 use super::build::{Bounds, binary_tree};
 use super::ray::Hit;
-use super::simd::Instructions;
+use crate::simd::Instructions;
 use super::wide::Wide;
 use crate::geometry::polygon::area_vector;
 use crate::geometry::sampling::hash;

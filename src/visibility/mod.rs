@@ -7,7 +7,7 @@
 //!   up to eight triangles, lane by lane
 //! - [`traverse`]: rays that have nothing in common, a block at a time ([`block`]); [`bundle`]: segments between one pair of
 //!   patches together
-//! - [`sift`]: the f32 tests that both rely on; [`simd`]: their vectors, for three sets of instructions
+//! - [`sift`]: the f32 tests that both rely on; [`crate::simd`]: their vectors
 //! - [`intersect`]: the watertight test in f64 that decides (Woop, Benthin & Wald 2013); [`own_surface`]: what a ray leaves
 //!   out of account
 //! - [`shaft`]: a proof that nothing can stand between two patches
@@ -23,10 +23,9 @@ mod own_surface;
 mod ray;
 mod shaft;
 mod sift;
-mod simd;
 mod traverse;
 mod wide;
 
 pub use bvh::Bvh;
 pub use ray::{Hit, NO_PATCH, Ray, Segment};
-pub use simd::Instructions;
+pub use crate::simd::Instructions;

@@ -4,7 +4,7 @@
 //! carry bounds on the error of their edge functions. What is neither surely hit nor surely missed, one triangle in some
 //! hundreds, is decided in f64 ([`super::intersect`]): so answers do not depend on how a machine rounds here.
 
-use super::simd::Lanes;
+use crate::simd::single::Lanes;
 use super::wide::{COORDINATE_ERROR, Pack};
 
 /// Triangles in the lanes of a ray, or rays in the lanes of a triangle.

@@ -8,7 +8,7 @@
 //!   D(n, k) = min over 0 < m < k of C(left, m) + C(right, k - m)
 
 use super::build::{BinaryNode, Content};
-use super::simd::prefetch;
+use crate::simd::prefetch;
 use crate::geometry::{Triangle, Vec3};
 
 /// Boxes a node, triangles a leaf.

@@ -1,47 +1,10 @@
-//! Eight or sixteen f32 at a time, on whatever the processor offers.
+//! Eight or sixteen f32 at a time: what the sieves of [`crate::visibility`] compute with.
 //!
-//! A kernel is written once, for any [`Machine`], and compiled three times: for AVX-512, for AVX2, and for plain arrays. The
-//! processor is asked when the program runs. Kernels only sift; what is hit is decided in f64 ([`super::intersect`]), the
-//! same on every machine: so lanes may round differently (fused or not), and the answers are still the same bits.
-
-/// A set of vector instructions.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Instructions {
-    /// None beyond what the compiler targets.
-    Portable,
-    /// AVX2, FMA and bit manipulation: x86-64 since 2013.
-    Avx2,
-    /// AVX-512 F, DQ and VL.
-    Avx512,
-}
-
-impl Instructions {
-    /// Every set that this processor has, the best last.
-    pub fn available() -> Vec<Instructions> {
-        let mut all = vec![Instructions::Portable];
-        #[cfg(target_arch = "x86_64")]
-        {
-            let has_avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
-            let has_bits = is_x86_feature_detected!("bmi1") && is_x86_feature_detected!("bmi2");
-            let has_avx512 = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl");
-            if has_avx2 && has_bits && is_x86_feature_detected!("popcnt") {
-                all.push(Instructions::Avx2);
-                if has_avx512 && is_x86_feature_detected!("avx512dq") {
-                    all.push(Instructions::Avx512);
-                }
-            }
-        }
-        all
-    }
-
-    /// The best set that this processor has.
-    pub fn best() -> Instructions {
-        Instructions::available().pop().unwrap_or(Instructions::Portable)
-    }
-}
+//! They only sift; what is hit is decided in f64, the same on every machine: so lanes may round differently (fused or
+//! not), and the answers are still the same bits.
 
 /// N numbers.
-pub(super) trait Lanes<const N: usize>: Copy {
+pub(crate) trait Lanes<const N: usize>: Copy {
     fn splat(x: f32) -> Self;
     fn load(values: &[f32; N]) -> Self;
     fn store(self, out: &mut [f32; N]);
@@ -67,10 +30,10 @@ pub(super) trait Lanes<const N: usize>: Copy {
 }
 
 /// Which lane comes where.
-pub(super) type Places = [u8; 8];
+pub(crate) type Places = [u8; 8];
 
 /// Eight numbers that can change places.
-pub(super) trait Eight: Lanes<8> {
+pub(crate) trait Eight: Lanes<8> {
     /// Eight u32 as they are.
     fn load_bits(values: &[u32; 8]) -> Self;
     fn store_bits(self, out: &mut [u32; 8]);
@@ -123,19 +86,6 @@ impl Eight for [f32; 8] {
         }
         least
     }
-}
-
-/// The vectors of a set of instructions.
-pub(super) trait Machine {
-    type Eight: Eight;
-    type Sixteen: Lanes<16>;
-}
-
-pub(super) struct Portable;
-
-impl Machine for Portable {
-    type Eight = [f32; 8];
-    type Sixteen = [f32; 16];
 }
 
 #[inline(always)]
@@ -215,9 +165,6 @@ impl<const N: usize> Lanes<N> for [f32; N] {
 }
 
 #[cfg(target_arch = "x86_64")]
-pub(super) use x86::{Avx2, Avx512};
-
-#[cfg(target_arch = "x86_64")]
 mod x86 {
     //! SAFETY, for all of this module: its vectors are made only in kernels that [`super::for_every_machine`] enters once
     //! the processor was found to have the instructions; loads and stores go through references to arrays of their size.
@@ -225,9 +172,7 @@ mod x86 {
 
     use std::arch::x86_64::*;
 
-    use super::{Eight, Lanes, Machine, Places};
-
-    pub(in super::super) struct Avx2;
+    use super::{Eight, Lanes, Places};
 
     impl Eight for __m256 {
         #[inline(always)]
@@ -266,18 +211,6 @@ mod x86 {
                 _mm_cvtss_f32(_mm_min_ss(two, _mm_movehdup_ps(two)))
             }
         }
-    }
-
-    impl Machine for Avx2 {
-        type Eight = __m256;
-        type Sixteen = [__m256; 2];
-    }
-
-    pub(in super::super) struct Avx512;
-
-    impl Machine for Avx512 {
-        type Eight = __m256;
-        type Sixteen = __m512;
     }
 
     /// [`Lanes`] of a register, by the names of its intrinsics.
@@ -417,44 +350,3 @@ mod x86 {
     pair!([add, sub, mul, div, min, max, flip], [mul_add, mul_sub, neg_mul_add]);
 }
 
-/// Starts to bring `bytes` from `pointer` on into the first-level cache; any pointer will do.
-#[inline(always)]
-pub(super) fn prefetch(pointer: *const u8, bytes: usize) {
-    #[cfg(target_arch = "x86_64")]
-    for line in 0..bytes.div_ceil(64) {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: a prefetch reads nothing that the program could see, and faults nowhere.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(pointer.cast::<i8>().wrapping_add(64 * line)) };
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = (pointer, bytes);
-}
-
-/// Compiles `kernel::<M>(..)` for every machine, as one function that takes the [`Instructions`] first.
-macro_rules! for_every_machine {
-    ($(#[$doc:meta])* fn $name:ident($($arg:ident: $type:ty),* $(,)?) -> $out:ty = $kernel:ident) => {
-        $(#[$doc])*
-        fn $name(instructions: $crate::visibility::simd::Instructions, $($arg: $type),*) -> $out {
-            use $crate::visibility::simd;
-            #[cfg(target_arch = "x86_64")]
-            #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt")]
-            unsafe fn avx2($($arg: $type),*) -> $out {
-                $kernel::<simd::Avx2>($($arg),*)
-            }
-            #[cfg(target_arch = "x86_64")]
-            #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,avx512f,avx512dq,avx512vl")]
-            unsafe fn avx512($($arg: $type),*) -> $out {
-                $kernel::<simd::Avx512>($($arg),*)
-            }
-            match instructions {
-                // SAFETY: only what `Instructions::available` has found on this processor can be asked for.
-                #[cfg(target_arch = "x86_64")]
-                simd::Instructions::Avx2 => unsafe { avx2($($arg),*) },
-                #[cfg(target_arch = "x86_64")]
-                simd::Instructions::Avx512 => unsafe { avx512($($arg),*) },
-                _ => $kernel::<simd::Portable>($($arg),*),
-            }
-        }
-    };
-}
-pub(super) use for_every_machine;
