@@ -48,26 +48,43 @@ const FEW: usize = 4;
 /// Corners of the largest polygon, cut once.
 const MANY: usize = MAX_CORNERS + 1;
 
+/// Two patches that lie wholly in front of each other.
+#[derive(Debug, Clone, Copy)]
+struct Whole {
+    slot: u32,
+    small: u32,
+    large: u32,
+    /// Whether the smaller one is of the second list.
+    swapped: bool,
+}
+
 /// A pair of polygons in front of each other, in coordinates relative to the smaller.
 #[derive(Debug, Clone, Copy)]
-struct Entry {
+struct Cut {
     slot: u32,
     /// The corners of the smaller and then of the larger polygon, in the arena.
     first: u32,
     counts: [u32; 2],
     normals: [Vec3; 2],
-    distance: f64,
-    q_area: f64,
     q_point: f64,
+}
+
+impl Cut {
+    /// The polygons may have many corners.
+    fn is_large(&self) -> usize {
+        usize::from(self.counts[0].max(self.counts[1]) > FEW as u32)
+    }
 }
 
 /// A contour integral in the making.
 #[derive(Debug, Clone, Copy)]
 struct Contour {
-    entry: u32,
+    /// Which pair: whole ones first, then the cut ones.
+    pair: u32,
+    is_whole: bool,
     /// The power of two that the polygons were scaled by.
     scale: f64,
-    /// 2 pi G of the scaled polygons, and the rounding error that it may have.
+    /// 2 pi G of the scaled polygons, and the rounding error that G may have, m^2.
     sum: f64,
     rounding: f64,
 }
@@ -75,9 +92,11 @@ struct Contour {
 /// Memory reused from block to block.
 pub struct Batch {
     instructions: Instructions,
+    /// Whole pairs by kernel.
+    whole: [Vec<Whole>; Kernel::ALL.len()],
     corners: Vec<Vec3>,
-    entries: Vec<Entry>,
-    /// Entries by kernel: those of few corners, then those of many.
+    cut: Vec<Cut>,
+    /// Cut pairs by kernel: those of few corners, then those of many.
     buckets: [[Vec<u32>; Kernel::ALL.len()]; 2],
     contours: Vec<Contour>,
     special: Vec<contour::Special>,
@@ -100,8 +119,9 @@ impl Batch {
         let known = Instructions::available().contains(&instructions);
         Batch {
             instructions: if known { instructions } else { Instructions::Portable },
+            whole: Default::default(),
             corners: Vec::new(),
-            entries: Vec::new(),
+            cut: Vec::new(),
             buckets: Default::default(),
             contours: Vec::new(),
             special: Vec::new(),
@@ -112,18 +132,23 @@ impl Batch {
     pub fn exchange_pairs(&mut self, a: &[Patch], b: &[Patch], pairs: &[[u32; 2]], accuracy: &Accuracy, out: &mut [f64]) {
         for (pairs, out) in pairs.chunks(BLOCK).zip(out.chunks_mut(BLOCK)) {
             self.clear();
+            out.fill(0.0);
             for (group, chunk) in pairs.chunks(LANES).enumerate() {
-                let (facing, whole) = classify(self.instructions, a, b, chunk);
+                let look = classify(self.instructions, a, b, chunk, accuracy);
                 for (lane, &[i, j]) in chunk.iter().enumerate() {
-                    let slot = group * LANES + lane;
-                    out[slot] = 0.0;
-                    if facing >> lane & 1 != 0 {
-                        let (a, b) = (&a[i as usize], &b[j as usize]);
-                        self.add(&a.shape(), &b.shape(), whole >> lane & 1 != 0, accuracy, slot as u32);
+                    let slot = (group * LANES + lane) as u32;
+                    if look.whole >> lane & 1 != 0 {
+                        let (first, second) = (&a[i as usize], &b[j as usize]);
+                        let in_order = first.area < second.area
+                            || (first.area == second.area && comes_first(&first.corners, &second.corners));
+                        let [small, large] = if in_order { [i, j] } else { [j, i] };
+                        self.whole[look.kernels[lane]].push(Whole { slot, small, large, swapped: !in_order });
+                    } else if look.facing >> lane & 1 != 0 {
+                        self.add(&a[i as usize].shape(), &b[j as usize].shape(), accuracy, slot);
                     }
                 }
             }
-            self.run(accuracy, out);
+            self.run(a, b, accuracy, out);
         }
     }
 
@@ -131,20 +156,24 @@ impl Batch {
     pub fn exchange(&mut self, a: &Shape, b: &Shape, accuracy: &Accuracy) -> f64 {
         let mut out = [0.0];
         self.clear();
-        self.add(a, b, false, accuracy, 0);
-        self.run(accuracy, &mut out);
+        self.add(a, b, accuracy, 0);
+        self.run(&[], &[], accuracy, &mut out);
         out[0]
     }
 
     fn clear(&mut self) {
+        self.whole.iter_mut().for_each(Vec::clear);
         self.corners.clear();
-        self.entries.clear();
+        self.cut.clear();
         self.buckets.iter_mut().flatten().for_each(Vec::clear);
+        self.contours.clear();
+        self.special.clear();
     }
 
-    /// Puts a pair into the bucket of its kernel, cut to what lies in front of the other's plane unless it is `whole`.
-    fn add(&mut self, a: &Shape, b: &Shape, whole: bool, accuracy: &Accuracy, slot: u32) {
-        let (small, large) = if is_smaller(a, b) { (a, b) } else { (b, a) };
+    /// Puts a pair into the bucket of its kernel, cut to what lies in front of the other's plane.
+    fn add(&mut self, a: &Shape, b: &Shape, accuracy: &Accuracy, slot: u32) {
+        let in_order = a.area < b.area || (a.area == b.area && comes_first(a.corners, b.corners));
+        let (small, large) = if in_order { (a, b) } else { (b, a) };
         // Coordinates relative to the smaller polygon: it is the one whose own digits are at stake.
         let origin = small.corners[0];
         let first = self.corners.len();
@@ -153,37 +182,44 @@ impl Batch {
         let (s, l) = self.corners[first..].split_at(small.corners.len());
         let s = Shape { corners: s, centre: small.centre - origin, ..*small };
         let l = Shape { corners: l, centre: large.centre - origin, ..*large };
-        let sides = if whole { [Side::Front; 2] } else { [side(&s, &l), side(&l, &s)] };
-        let entry = match sides {
-            [Side::Front, Side::Front] => Entry::new(&s, &l, slot, first),
+        let normals = [s.normal, l.normal];
+        let (mut cut_s, mut cut_l) = (Vec::new(), Vec::new());
+        let (s, l) = match [side(&s, &l), side(&l, &s)] {
+            [Side::Front, Side::Front] => (s, l),
             [Side::Behind, _] | [_, Side::Behind] => {
                 self.corners.truncate(first);
                 return;
             }
             _ => {
-                let (mut cut_s, mut cut_l) = (Vec::with_capacity(MANY), Vec::with_capacity(MANY));
                 clip_to_front(s.corners, &plane(&l), &mut cut_s);
                 clip_to_front(l.corners, &plane(&s), &mut cut_l);
-                let normals = [s.normal, l.normal];
                 self.corners.truncate(first);
                 let (Some(s), Some(l)) = (part(&cut_s, normals[0]), part(&cut_l, normals[1])) else { return };
                 let (s, l) = if s.area <= l.area { (s, l) } else { (l, s) };
                 self.corners.extend(s.corners.iter().chain(l.corners));
-                Entry::new(&s, &l, slot, first)
+                (s, l)
             }
         };
-        let kernel = accuracy.choice(entry.q_area, entry.q_point);
-        self.buckets[entry.is_large()][kernel].push(self.entries.len() as u32);
-        self.entries.push(entry);
+        let [q_area, q_point] = ratios(&s, &l);
+        let counts = [s.corners.len() as u32, l.corners.len() as u32];
+        let cut = Cut { slot, first: first as u32, counts, normals: [s.normal, l.normal], q_point };
+        self.buckets[cut.is_large()][accuracy.choice(q_area, q_point)].push(self.cut.len() as u32);
+        self.cut.push(cut);
     }
 
     /// Computes what is in the buckets.
-    fn run(&mut self, accuracy: &Accuracy, out: &mut [f64]) {
-        self.contours.clear();
-        self.special.clear();
+    fn run(&mut self, a: &[Patch], b: &[Patch], accuracy: &Accuracy, out: &mut [f64]) {
+        for (kernel, pairs) in Kernel::ALL.into_iter().zip(&self.whole).filter(|(_, pairs)| !pairs.is_empty()) {
+            let work = WholePairs { a, b, pairs };
+            if kernel == Kernel::Contour {
+                contours_of_whole(self.instructions, work, accuracy, &mut self.contours, &mut self.special);
+            } else {
+                rule_on_whole(self.instructions, work, kernel, out);
+            }
+        }
         for (large, buckets) in self.buckets.iter().enumerate() {
             for (kernel, bucket) in Kernel::ALL.into_iter().zip(buckets).filter(|(_, bucket)| !bucket.is_empty()) {
-                let work = Work { corners: &self.corners, entries: &self.entries, bucket };
+                let work = CutPairs { corners: &self.corners, cut: &self.cut, bucket };
                 match (kernel, large) {
                     (Kernel::Contour, 0) => {
                         contours_of_few(self.instructions, work, accuracy, &mut self.contours, &mut self.special);
@@ -196,60 +232,75 @@ impl Batch {
                 }
             }
         }
-        if self.contours.is_empty() {
-            return;
+        if !self.contours.is_empty() {
+            self.finish_contours(a, b, accuracy, out);
         }
+    }
+
+    /// Adds the special edges, and computes by points what rounding has spoilt.
+    fn finish_contours(&mut self, a: &[Patch], b: &[Patch], accuracy: &Accuracy, out: &mut [f64]) {
         let mut sums: Vec<f64> = self.contours.iter().map(|c| c.sum).collect();
         special_edges(self.instructions, &self.special, &mut sums);
-        let mut again: [Vec<u32>; 2] = Default::default();
+        let (mut whole, mut cut): (Vec<Whole>, [Vec<u32>; 2]) = Default::default();
         for (c, sum) in self.contours.iter().zip(sums) {
-            let entry = &self.entries[c.entry as usize];
             let g = (sum / (std::f64::consts::TAU * c.scale * c.scale)).max(0.0);
             let rounding = 2.0 * f64::EPSILON * g + c.rounding;
-            // Where cancellation has eaten the tolerance, the densest point rule is taken if it is known to lose less.
-            let kept = accuracy.is_forced() || rounding <= accuracy.tolerance() * g;
-            if kept || rounding <= densest_point_error(entry.q_point) * g {
-                out[entry.slot as usize] = g;
+            let (slot, kept) = if accuracy.is_forced() || rounding <= accuracy.tolerance() * g {
+                (c.slot(&self.whole, &self.cut), true)
             } else {
-                again[entry.is_large()].push(c.entry);
+                // Where cancellation has eaten the tolerance, the densest point rule is taken if it is known to lose less.
+                let q_point = if c.is_whole {
+                    let [small, large] = self.whole[Kernel::ALL.len() - 1][c.pair as usize].patches(a, b);
+                    ratios(&small.shape(), &large.shape())[1]
+                } else {
+                    self.cut[c.pair as usize].q_point
+                };
+                (c.slot(&self.whole, &self.cut), rounding <= densest_point_error(q_point) * g)
+            };
+            if kept {
+                out[slot as usize] = g;
+            } else if c.is_whole {
+                whole.push(self.whole[Kernel::ALL.len() - 1][c.pair as usize]);
+            } else {
+                cut[self.cut[c.pair as usize].is_large()].push(c.pair);
             }
         }
-        for (large, bucket) in again.iter().enumerate() {
-            let work = Work { corners: &self.corners, entries: &self.entries, bucket };
-            let kernel = Kernel::Point(TriangleRule::P16);
-            match large {
-                0 => rule_on_few(self.instructions, work, kernel, out),
-                _ => rule_on_many(self.instructions, work, kernel, out),
-            }
-        }
+        let kernel = Kernel::Point(TriangleRule::P16);
+        rule_on_whole(self.instructions, WholePairs { a, b, pairs: &whole }, kernel, out);
+        let [few, many] = &cut;
+        let work = CutPairs { corners: &self.corners, cut: &self.cut, bucket: few };
+        rule_on_few(self.instructions, work, kernel, out);
+        rule_on_many(self.instructions, CutPairs { bucket: many, ..work }, kernel, out);
     }
 }
 
-impl Entry {
-    fn new(small: &Shape, large: &Shape, slot: u32, first: usize) -> Entry {
-        let distance = small.centre.distance(large.centre);
-        let to_plane = large.normal.dot(small.centre - large.corners[0]).abs();
-        Entry {
-            slot,
-            first: first as u32,
-            counts: [small.corners.len() as u32, large.corners.len() as u32],
-            normals: [small.normal, large.normal],
-            distance,
-            q_area: (small.radius + large.radius) / distance,
-            q_point: small.radius / to_plane.max(distance - large.radius).max(f64::MIN_POSITIVE),
-        }
-    }
-
-    fn is_large(&self) -> usize {
-        usize::from(self.counts[0].max(self.counts[1]) > FEW as u32)
+impl Contour {
+    fn slot(&self, whole: &[Vec<Whole>; Kernel::ALL.len()], cut: &[Cut]) -> u32 {
+        if self.is_whole { whole[Kernel::ALL.len() - 1][self.pair as usize].slot } else { cut[self.pair as usize].slot }
     }
 }
 
-/// A total order of polygons, so that (a, b) and (b, a) run the same instructions.
+impl Whole {
+    /// The smaller and the larger patch.
+    #[inline(always)]
+    fn patches<'a>(&self, a: &'a [Patch], b: &'a [Patch]) -> [&'a Patch; 2] {
+        let (first, second) = if self.swapped { (b, a) } else { (a, b) };
+        [&first[self.small as usize], &second[self.large as usize]]
+    }
+}
+
+/// The ratios q_area and q_point of a pair (see [`super::select`]).
+fn ratios(small: &Shape, large: &Shape) -> [f64; 2] {
+    let distance = small.centre.distance(large.centre);
+    let to_plane = large.normal.dot(small.centre - large.centre).abs();
+    let nearest = to_plane.max(distance - large.radius).max(f64::MIN_POSITIVE);
+    [(small.radius + large.radius) / distance, small.radius / nearest]
+}
+
+/// A total order of polygons of the same area, so that (a, b) and (b, a) run the same instructions.
 #[inline]
-fn is_smaller(a: &Shape, b: &Shape) -> bool {
-    let by_corners = || a.corners.iter().map(Vec3::to_array).le(b.corners.iter().map(Vec3::to_array));
-    a.area < b.area || (a.area == b.area && by_corners())
+fn comes_first(a: &[Vec3], b: &[Vec3]) -> bool {
+    a.iter().map(Vec3::to_array).le(b.iter().map(Vec3::to_array))
 }
 
 #[inline]
@@ -280,15 +331,7 @@ fn part(cut: &[Vec3], normal: Vec3) -> Option<Shape<'_>> {
     (area > 0.0).then(|| Shape::with_normal(cut, normal, area))
 }
 
-/// Some of the entries.
-#[derive(Clone, Copy)]
-struct Work<'a> {
-    corners: &'a [Vec3],
-    entries: &'a [Entry],
-    bucket: &'a [u32],
-}
-
-/// Up to eight entries in lanes, the last one repeated.
+/// Up to eight pairs of polygons in lanes, the last one repeated, in coordinates relative to the smaller.
 struct Lanes<D, const N: usize> {
     corners: [[Vectors<D>; N]; 2],
     counts: [usize; 2],
@@ -297,25 +340,110 @@ struct Lanes<D, const N: usize> {
 
 impl<D: Double, const N: usize> Lanes<D, N> {
     #[inline(always)]
-    fn load(work: Work, group: &[u32], scales: &[f64; LANES]) -> Self {
+    fn polygons(&self) -> [Polygons<'_, D>; 2] {
+        let [small, large] = &self.corners;
+        [
+            Polygons { corners: &small[..self.counts[0].min(N)], normal: self.normals[0] },
+            Polygons { corners: &large[..self.counts[1].min(N)], normal: self.normals[1] },
+        ]
+    }
+}
+
+/// Pairs that can be brought into lanes.
+trait Pairs<const N: usize>: Copy {
+    fn len(self) -> usize;
+    /// Pairs `first` .. `first + LANES`, as far as there are.
+    fn load<D: Double>(self, first: usize) -> Lanes<D, N>;
+    /// The number of a pair in the list that [`Contour::pair`] counts in.
+    fn number(self, k: usize) -> u32;
+    fn slot(self, k: usize) -> u32;
+    const IS_WHOLE: bool;
+}
+
+#[derive(Clone, Copy)]
+struct WholePairs<'a> {
+    a: &'a [Patch],
+    b: &'a [Patch],
+    pairs: &'a [Whole],
+}
+
+impl Pairs<3> for WholePairs<'_> {
+    const IS_WHOLE: bool = true;
+
+    #[inline(always)]
+    fn len(self) -> usize {
+        self.pairs.len()
+    }
+
+    #[inline(always)]
+    fn load<D: Double>(self, first: usize) -> Lanes<D, 3> {
+        let mut corners = [[[[0.0; LANES]; 3]; 3]; 2];
+        let mut normals = [[[0.0; LANES]; 3]; 2];
+        for lane in 0..LANES {
+            let [small, large] = self.pairs[(first + lane).min(self.pairs.len() - 1)].patches(self.a, self.b);
+            put(&small.normal, &mut normals[0], lane);
+            put(&large.normal, &mut normals[1], lane);
+            for k in 0..3 {
+                put(&small.corners[k], &mut corners[0][k], lane);
+                put(&large.corners[k], &mut corners[1][k], lane);
+            }
+        }
+        let zero = Vectors::splat(Vec3::ZERO);
+        let origin: Vectors<D> = Vectors::load(&corners[0][0]);
+        let mut lanes = Lanes { corners: [[zero; 3]; 2], counts: [3; 2], normals: [zero; 2] };
+        for which in 0..2 {
+            lanes.normals[which] = Vectors::load(&normals[which]);
+            for k in 0..3 {
+                lanes.corners[which][k] = Vectors::load(&corners[which][k]) - origin;
+            }
+        }
+        lanes
+    }
+
+    #[inline(always)]
+    fn number(self, k: usize) -> u32 {
+        k as u32
+    }
+
+    #[inline(always)]
+    fn slot(self, k: usize) -> u32 {
+        self.pairs[k].slot
+    }
+}
+
+#[derive(Clone, Copy)]
+struct CutPairs<'a> {
+    corners: &'a [Vec3],
+    cut: &'a [Cut],
+    bucket: &'a [u32],
+}
+
+impl<const N: usize> Pairs<N> for CutPairs<'_> {
+    const IS_WHOLE: bool = false;
+
+    #[inline(always)]
+    fn len(self) -> usize {
+        self.bucket.len()
+    }
+
+    #[inline(always)]
+    fn load<D: Double>(self, first: usize) -> Lanes<D, N> {
         let zero = Vectors::splat(Vec3::ZERO);
         let mut lanes = Lanes { corners: [[zero; N]; 2], counts: [0; 2], normals: [zero; 2] };
         for which in 0..2 {
             let mut rows = [[0.0; LANES]; 3];
             for lane in 0..LANES {
-                let entry = &work.entries[group[lane.min(group.len() - 1)] as usize];
-                lanes.counts[which] = lanes.counts[which].max(entry.counts[which] as usize);
-                let normal = entry.normals[which];
-                (rows[0][lane], rows[1][lane], rows[2][lane]) = (normal.x, normal.y, normal.z);
+                let pair = &self.cut[self.bucket[(first + lane).min(self.bucket.len() - 1)] as usize];
+                lanes.counts[which] = lanes.counts[which].max(pair.counts[which] as usize);
+                put(&pair.normals[which], &mut rows, lane);
             }
             lanes.normals[which] = Vectors::load(&rows);
             for k in 0..lanes.counts[which].min(N) {
                 for lane in 0..LANES {
-                    let entry = &work.entries[group[lane.min(group.len() - 1)] as usize];
-                    let before = if which == 0 { 0 } else { entry.counts[0] };
-                    let place = entry.first + before + (k as u32).min(entry.counts[which] - 1);
-                    let corner = work.corners[place as usize] * scales[lane];
-                    (rows[0][lane], rows[1][lane], rows[2][lane]) = (corner.x, corner.y, corner.z);
+                    let pair = &self.cut[self.bucket[(first + lane).min(self.bucket.len() - 1)] as usize];
+                    let before = if which == 0 { 0 } else { pair.counts[0] };
+                    let place = pair.first + before + (k as u32).min(pair.counts[which] - 1);
+                    put(&self.corners[place as usize], &mut rows, lane);
                 }
                 lanes.corners[which][k] = Vectors::load(&rows);
             }
@@ -324,63 +452,95 @@ impl<D: Double, const N: usize> Lanes<D, N> {
     }
 
     #[inline(always)]
-    fn polygons(&self) -> [Polygons<'_, D>; 2] {
-        [0, 1].map(|k| Polygons { corners: &self.corners[k][..self.counts[k].min(N)], normal: self.normals[k] })
+    fn number(self, k: usize) -> u32 {
+        self.bucket[k]
+    }
+
+    #[inline(always)]
+    fn slot(self, k: usize) -> u32 {
+        self.cut[self.bucket[k] as usize].slot
     }
 }
 
 #[inline(always)]
-fn rule_kernel<M: Machine, const N: usize>(work: Work, kernel: Kernel, out: &mut [f64]) {
-    for group in work.bucket.chunks(LANES) {
-        let lanes: Lanes<M::Double, N> = Lanes::load(work, group, &[1.0; LANES]);
+fn put(v: &Vec3, rows: &mut [[f64; LANES]; 3], lane: usize) {
+    rows[0][lane] = v.x;
+    rows[1][lane] = v.y;
+    rows[2][lane] = v.z;
+}
+
+#[inline(always)]
+fn rule_kernel<D: Double, P: Pairs<N>, const N: usize>(pairs: P, kernel: Kernel, out: &mut [f64]) {
+    let mut first = 0;
+    while first < pairs.len() {
+        let lanes: Lanes<D, N> = pairs.load(first);
         let [small, large] = lanes.polygons();
         let g = match kernel {
             Kernel::Area(rule) => area_quadrature::exchange(&small, &large, rule.points()),
             Kernel::Point(rule) => point_to_polygon::exchange(&small, &large, rule.points()),
-            Kernel::Contour => M::Double::splat(0.0),
+            Kernel::Contour => D::splat(0.0),
         };
-        for (&k, g) in group.iter().zip(g.to_array()) {
-            out[work.entries[k as usize].slot as usize] = g;
+        let g = g.to_array();
+        for lane in 0..LANES.min(pairs.len() - first) {
+            out[pairs.slot(first + lane) as usize] = g[lane];
         }
+        first += LANES;
     }
 }
 
 /// The error that contour integrals may have, as a part of the tolerance and of what 3 x 3 points make of the exchange:
 /// near pairs, where those are off by a factor.
-const CONTOUR_SHARE: f64 = 0.05;
+const CONTOUR_SHARE: f64 = 0.3;
 
 #[inline(always)]
-fn contour_kernel<M: Machine, const N: usize>(
-    work: Work,
+fn contour_kernel<D: Double, P: Pairs<N>, const N: usize>(
+    pairs: P,
     accuracy: &Accuracy,
     contours: &mut Vec<Contour>,
     special: &mut Vec<contour::Special>,
 ) {
-    for group in work.bucket.chunks(LANES) {
-        let (mut scales, mut distances, mut slots) = ([1.0; LANES], [0.0; LANES], [0; LANES]);
-        for lane in 0..LANES {
-            let entry = &work.entries[group[lane.min(group.len() - 1)] as usize];
-            let corners = &work.corners[entry.first as usize..][..(entry.counts[0] + entry.counts[1]) as usize];
-            scales[lane] = unit_scale(corners);
-            distances[lane] = entry.distance * scales[lane];
+    let mut first = 0;
+    while first < pairs.len() {
+        let mut lanes: Lanes<D, N> = pairs.load(first);
+        // The exchange scales by the square of the unit of length: a power of two does so without rounding.
+        let mut extent = D::splat(0.0);
+        for which in 0..2 {
+            for v in &lanes.corners[which][..lanes.counts[which].min(N)] {
+                extent = extent.max(v.x.abs()).max(v.y.abs()).max(v.z.abs());
+            }
+        }
+        let mut scales = extent.to_array();
+        for scale in &mut scales {
+            *scale = unit_scale(*scale);
+        }
+        let factor = D::load(&scales);
+        for which in 0..2 {
+            for v in &mut lanes.corners[which][..lanes.counts[which].min(N)] {
+                *v = v.scaled(factor);
+            }
+        }
+        let used = LANES.min(pairs.len() - first);
+        let mut slots = [0; LANES];
+        for lane in 0..used {
             slots[lane] = (contours.len() + lane) as u32;
         }
-        let lanes: Lanes<M::Double, N> = Lanes::load(work, group, &scales);
         let [small, large] = lanes.polygons();
         let estimate = area_quadrature::exchange(&small, &large, TriangleRule::P3.points());
-        let allowed = estimate * M::Double::splat(accuracy.tolerance() * CONTOUR_SHARE * std::f64::consts::TAU);
-        let sum = contour::exchange(&small, &large, allowed, &slots[..group.len()], special).to_array();
-        let rounding = contour::rounding(&small, &large, M::Double::load(&distances)).to_array();
-        for (lane, &entry) in group.iter().enumerate() {
-            let scale = scales[lane];
-            contours.push(Contour { entry, scale, sum: sum[lane], rounding: rounding[lane] / (scale * scale) });
+        let allowed = estimate * D::splat(accuracy.tolerance() * CONTOUR_SHARE * std::f64::consts::TAU);
+        let sum = contour::exchange(&small, &large, allowed, &slots[..used], special).to_array();
+        let rounding = (contour::rounding(&small, &large) / (factor * factor)).to_array();
+        for lane in 0..used {
+            let pair = pairs.number(first + lane);
+            let (scale, sum, rounding) = (scales[lane], sum[lane], rounding[lane]);
+            contours.push(Contour { pair, is_whole: P::IS_WHOLE, scale, sum, rounding });
         }
+        first += LANES;
     }
 }
 
-/// The power of two that brings coordinates near 1: it scales without rounding.
-fn unit_scale(corners: &[Vec3]) -> f64 {
-    let extent = corners.iter().map(|v| v.abs().max_element()).fold(0.0, f64::max);
+/// The power of two that brings coordinates up to `extent` near 1.
+#[inline(always)]
+fn unit_scale(extent: f64) -> f64 {
     // The exponent alone, negated.
     f64::from_bits((2046u64 << 52).saturating_sub(extent.to_bits() & (0x7ff << 52)).max(1 << 52))
 }
@@ -390,79 +550,106 @@ fn special_kernel<M: Machine>(special: &[contour::Special], sums: &mut [f64]) {
     contour::add_special::<M::Double>(special, sums);
 }
 
-/// Which of up to eight pairs may face each other, and which lie wholly in front of each other's planes: a bit each.
+/// What the centres, radii and planes of up to eight pairs tell.
+struct Look {
+    /// A bit for each pair that may face each other.
+    facing: u32,
+    /// A bit for each pair that lies wholly in front of each other's planes.
+    whole: u32,
+    /// The kernels of those.
+    kernels: [usize; LANES],
+}
+
 #[inline(always)]
-fn classify_kernel<M: Machine>(a: &[Patch], b: &[Patch], pairs: &[[u32; 2]]) -> (u32, u32) {
+fn classify_kernel<M: Machine>(a: &[Patch], b: &[Patch], pairs: &[[u32; 2]], accuracy: &Accuracy) -> Look {
     let (mut centres, mut normals) = ([[[0.0; LANES]; 3]; 2], [[[0.0; LANES]; 3]; 2]);
-    let mut radii = [[0.0; LANES]; 2];
+    let (mut radii, mut areas) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
     for (lane, &[i, j]) in pairs.iter().enumerate() {
-        for (which, patch) in [&a[i as usize], &b[j as usize]].into_iter().enumerate() {
-            let (centre, normal) = (patch.centre.to_array(), patch.normal.to_array());
-            for axis in 0..3 {
-                centres[which][axis][lane] = centre[axis];
-                normals[which][axis][lane] = normal[axis];
-            }
-            radii[which][lane] = patch.radius;
-        }
+        let (first, second) = (&a[i as usize], &b[j as usize]);
+        put(&first.centre, &mut centres[0], lane);
+        put(&second.centre, &mut centres[1], lane);
+        put(&first.normal, &mut normals[0], lane);
+        put(&second.normal, &mut normals[1], lane);
+        (radii[0][lane], radii[1][lane]) = (first.radius, second.radius);
+        (areas[0][lane], areas[1][lane]) = (first.area, second.area);
     }
+    let [radius_a, radius_b] = [M::Double::load(&radii[0]), M::Double::load(&radii[1])];
+    let [area_a, area_b] = [M::Double::load(&areas[0]), M::Double::load(&areas[1])];
     let between: Vectors<M::Double> = Vectors::load(&centres[1]) - Vectors::load(&centres[0]);
     let before_a = Vectors::load(&normals[0]).dot(between);
     let before_b = -Vectors::load(&normals[1]).dot(between);
     // Twice the radius leaves room for rounding.
     let two = M::Double::splat(2.0);
-    let (radius_a, radius_b) = (two * M::Double::load(&radii[0]), two * M::Double::load(&radii[1]));
-    let facing = (-radius_b).lt(before_a) & (-radius_a).lt(before_b);
-    let whole = radius_b.lt(before_a) & radius_a.lt(before_b);
-    (M::Double::bits(facing), M::Double::bits(whole))
+    let (reach_a, reach_b) = (two * radius_a, two * radius_b);
+    let facing = (-reach_b).lt(before_a) & (-reach_a).lt(before_b);
+    let whole = reach_b.lt(before_a) & reach_a.lt(before_b);
+    let distance = between.dot(between).sqrt();
+    let tiny = M::Double::splat(f64::MIN_POSITIVE);
+    let q_area = (radius_a + radius_b) / distance.max(tiny);
+    let q_point_a = radius_a / before_b.abs().max(distance - radius_b).max(tiny);
+    let q_point_b = radius_b / before_a.abs().max(distance - radius_a).max(tiny);
+    // Of equal areas either may be the smaller.
+    let q_point = M::Double::select(area_a.lt(area_b), q_point_a, q_point_a.max(q_point_b));
+    let q_point = M::Double::select(area_b.lt(area_a), q_point_b, q_point);
+    let choice = accuracy.choices(q_area, q_point).to_array();
+    let mut kernels = [0; LANES];
+    for lane in 0..LANES {
+        kernels[lane] = choice[lane] as usize;
+    }
+    Look { facing: M::Double::bits(facing), whole: M::Double::bits(whole), kernels }
 }
 
-#[inline(always)]
-fn rule_few<M: Machine>(work: Work, kernel: Kernel, out: &mut [f64]) {
-    rule_kernel::<M, FEW>(work, kernel, out);
+/// The kernels for each kind of pairs.
+macro_rules! kernels {
+    ($($rule:ident, $contour:ident: $pairs:ty, $n:expr;)*) => {
+        $(
+            #[inline(always)]
+            fn $rule<M: Machine>(pairs: $pairs, kernel: Kernel, out: &mut [f64]) {
+                rule_kernel::<M::Double, $pairs, { $n }>(pairs, kernel, out);
+            }
+
+            #[inline(always)]
+            fn $contour<M: Machine>(
+                pairs: $pairs,
+                accuracy: &Accuracy,
+                contours: &mut Vec<Contour>,
+                special: &mut Vec<contour::Special>,
+            ) {
+                contour_kernel::<M::Double, $pairs, { $n }>(pairs, accuracy, contours, special);
+            }
+        )*
+    };
 }
 
-#[inline(always)]
-fn rule_many<M: Machine>(work: Work, kernel: Kernel, out: &mut [f64]) {
-    rule_kernel::<M, MANY>(work, kernel, out);
+kernels! {
+    rule_whole, contour_whole: WholePairs, 3;
+    rule_few, contour_few: CutPairs, FEW;
+    rule_many, contour_many: CutPairs, MANY;
 }
 
-#[inline(always)]
-fn contour_few<M: Machine>(
-    work: Work,
-    accuracy: &Accuracy,
-    contours: &mut Vec<Contour>,
-    special: &mut Vec<contour::Special>,
-) {
-    contour_kernel::<M, FEW>(work, accuracy, contours, special);
+/// [`for_every_machine!`] for each of them.
+macro_rules! dispatch {
+    ($($rule:ident = $rule_kernel:ident, $contour:ident = $contour_kernel:ident: $pairs:ty;)*) => {
+        $(
+            for_every_machine! { fn $rule(pairs: $pairs, kernel: Kernel, out: &mut [f64]) -> () = $rule_kernel }
+            for_every_machine! {
+                fn $contour(
+                    pairs: $pairs,
+                    accuracy: &Accuracy,
+                    contours: &mut Vec<Contour>,
+                    special: &mut Vec<contour::Special>,
+                ) -> () = $contour_kernel
+            }
+        )*
+    };
 }
 
-#[inline(always)]
-fn contour_many<M: Machine>(
-    work: Work,
-    accuracy: &Accuracy,
-    contours: &mut Vec<Contour>,
-    special: &mut Vec<contour::Special>,
-) {
-    contour_kernel::<M, MANY>(work, accuracy, contours, special);
-}
-
-for_every_machine! { fn classify(a: &[Patch], b: &[Patch], pairs: &[[u32; 2]]) -> (u32, u32) = classify_kernel }
-for_every_machine! { fn rule_on_few(work: Work, kernel: Kernel, out: &mut [f64]) -> () = rule_few }
-for_every_machine! { fn rule_on_many(work: Work, kernel: Kernel, out: &mut [f64]) -> () = rule_many }
-for_every_machine! {
-    fn contours_of_few(
-        work: Work,
-        accuracy: &Accuracy,
-        contours: &mut Vec<Contour>,
-        special: &mut Vec<contour::Special>,
-    ) -> () = contour_few
-}
-for_every_machine! {
-    fn contours_of_many(
-        work: Work,
-        accuracy: &Accuracy,
-        contours: &mut Vec<Contour>,
-        special: &mut Vec<contour::Special>,
-    ) -> () = contour_many
+dispatch! {
+    rule_on_whole = rule_whole, contours_of_whole = contour_whole: WholePairs;
+    rule_on_few = rule_few, contours_of_few = contour_few: CutPairs;
+    rule_on_many = rule_many, contours_of_many = contour_many: CutPairs;
 }
 for_every_machine! { fn special_edges(special: &[contour::Special], sums: &mut [f64]) -> () = special_kernel }
+for_every_machine! {
+    fn classify(a: &[Patch], b: &[Patch], pairs: &[[u32; 2]], accuracy: &Accuracy) -> Look = classify_kernel
+}

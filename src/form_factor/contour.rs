@@ -20,8 +20,10 @@ use crate::simd::double::{Double, LANES, Vectors, angle, ln};
 /// The rounding error of a result G is below 2 eps G and this, m^2: 2 eps (1 + D/l) P_a P_b / 2 pi, with P the perimeters,
 /// D the distance of the centres and l a third of the smaller perimeter.
 #[inline(always)]
-pub(super) fn rounding<D: Double>(small: &Polygons<D>, large: &Polygons<D>, distance: D) -> D {
+pub(super) fn rounding<D: Double>(small: &Polygons<D>, large: &Polygons<D>) -> D {
     let (p, q) = (perimeter(small.corners), perimeter(large.corners));
+    let way = centre(small.corners) - centre(large.corners);
+    let distance = way.dot(way).sqrt();
     let ratio = D::splat(3.0) * distance / p.min(q);
     let terms = (D::splat(1.0) + ratio) * p * q * D::splat(1.0 / std::f64::consts::TAU);
     D::splat(2.0 * f64::EPSILON) * terms
@@ -35,6 +37,16 @@ fn perimeter<D: Double>(corners: &[Vectors<D>]) -> D {
         sum = sum + side.dot(side).sqrt();
     }
     sum
+}
+
+/// About the centre: padded corners count more than once.
+#[inline(always)]
+fn centre<D: Double>(corners: &[Vectors<D>]) -> Vectors<D> {
+    let mut sum = corners[0];
+    for corner in &corners[1..] {
+        sum = sum + *corner;
+    }
+    sum.scaled(D::splat(1.0 / corners.len() as f64))
 }
 
 /// Edges, one a lane: start, unit direction, length.

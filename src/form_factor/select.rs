@@ -7,6 +7,7 @@
 
 use crate::error::{Error, Result};
 use crate::geometry::quadrature::TriangleRule;
+use crate::simd::double::Double;
 
 /// How a pair is computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -117,6 +118,19 @@ impl Accuracy {
                 Kernel::Point(_) | Kernel::Contour => q_point < *most,
             })
             .unwrap_or(Kernel::ALL.len() - 1)
+    }
+}
+
+impl Accuracy {
+    /// [`Accuracy::choice`] of eight pairs.
+    #[inline(always)]
+    pub(super) fn choices<D: Double>(&self, q_area: D, q_point: D) -> D {
+        let mut choice = D::splat((Kernel::ALL.len() - 1) as f64);
+        for k in (0..self.thresholds.most.len()).rev() {
+            let ratio = if matches!(Kernel::ALL[k], Kernel::Area(_)) { q_area } else { q_point };
+            choice = D::select(ratio.lt(D::splat(self.thresholds.most[k])), D::splat(k as f64), choice);
+        }
+        choice
     }
 }
 
