@@ -8,11 +8,8 @@
 
 use super::Polygons;
 use crate::geometry::Vec3;
-use crate::geometry::quadrature::TrianglePoint;
+use crate::geometry::quadrature::{TrianglePoint, TriangleRule};
 use crate::simd::double::{Double, Vectors};
-
-/// The most points of a rule here.
-const MOST_POINTS: usize = 16;
 
 /// The kernel K of two points with their unit normals, 1/m^2; 0 where either faces away.
 #[inline]
@@ -25,9 +22,21 @@ pub fn kernel(p: Vec3, normal_p: Vec3, q: Vec3, normal_q: Vec3) -> f64 {
 
 /// The exchange G of eight pairs of polygons that lie in front of each other, m^2.
 #[inline(always)]
-pub(super) fn exchange<D: Double>(small: &Polygons<D>, large: &Polygons<D>, rule: &[TrianglePoint]) -> D {
+pub(super) fn exchange<D: Double>(small: &Polygons<D>, large: &Polygons<D>, rule: TriangleRule) -> D {
+    // Loops of a fixed length, unrolled.
+    match rule {
+        TriangleRule::P3 => by_points::<D, 3>(small, large, rule.points()),
+        TriangleRule::P6 => by_points::<D, 6>(small, large, rule.points()),
+        TriangleRule::P7 => by_points::<D, 7>(small, large, rule.points()),
+        TriangleRule::P12 => by_points::<D, 12>(small, large, rule.points()),
+        TriangleRule::P16 => by_points::<D, 16>(small, large, rule.points()),
+    }
+}
+
+#[inline(always)]
+fn by_points<D: Double, const N: usize>(small: &Polygons<D>, large: &Polygons<D>, rule: &[TrianglePoint]) -> D {
     let zero = Vectors::splat(Vec3::ZERO);
-    let (mut ps, mut qs) = ([zero; MOST_POINTS], [zero; MOST_POINTS]);
+    let (mut ps, mut qs) = ([zero; N], [zero; N]);
     let mut sum = D::splat(0.0);
     for s in 2..small.corners.len() {
         let area_s = place(small.corners, s, rule, &mut ps);
@@ -45,19 +54,18 @@ pub(super) fn exchange<D: Double>(small: &Polygons<D>, large: &Polygons<D>, rule
 
 /// pi times the sum over the points q of the weighted kernel. Two fractions share a division.
 #[inline(always)]
-fn gathered<D: Double>(
+fn gathered<D: Double, const N: usize>(
     p: Vectors<D>,
     normal_p: Vectors<D>,
-    qs: &[Vectors<D>; MOST_POINTS],
+    qs: &[Vectors<D>; N],
     normal_q: Vectors<D>,
     rule: &[TrianglePoint],
 ) -> D {
-    let zero = D::splat(0.0);
-    let mut sum = zero;
+    let mut sum = D::splat(0.0);
     let mut k = 0;
-    while k < rule.len() {
+    while k < N {
         let (above, below) = fraction(p, normal_p, qs[k], normal_q, rule[k].weight);
-        if k + 1 == rule.len() {
+        if k + 1 == N {
             return sum + above / below;
         }
         let (above_2, below_2) = fraction(p, normal_p, qs[k + 1], normal_q, rule[k + 1].weight);
@@ -85,11 +93,11 @@ fn fraction<D: Double>(
 
 /// The points of the rule on triangle 0, k - 1, k of the fan; returns its area.
 #[inline(always)]
-fn place<D: Double>(
+fn place<D: Double, const N: usize>(
     corners: &[Vectors<D>],
     k: usize,
     rule: &[TrianglePoint],
-    out: &mut [Vectors<D>; MOST_POINTS],
+    out: &mut [Vectors<D>; N],
 ) -> D {
     let [first, u, v] = [corners[0], corners[k - 1] - corners[0], corners[k] - corners[0]];
     for (out, TrianglePoint { barycentric, .. }) in out.iter_mut().zip(rule) {

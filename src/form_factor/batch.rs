@@ -35,6 +35,10 @@ impl Patch {
         Patch { corners, normal, area, centre, radius }
     }
 
+    fn plane(&self) -> Plane {
+        Plane { normal: self.normal, point: self.corners[0] }
+    }
+
     /// The same as a polygon.
     pub fn shape(&self) -> Shape<'_> {
         Shape { corners: &self.corners, normal: self.normal, area: self.area, centre: self.centre, radius: self.radius }
@@ -136,15 +140,25 @@ impl Batch {
             for (group, chunk) in pairs.chunks(LANES).enumerate() {
                 let look = classify(self.instructions, a, b, chunk, accuracy);
                 for (lane, &[i, j]) in chunk.iter().enumerate() {
+                    if look.facing >> lane & 1 == 0 {
+                        continue;
+                    }
                     let slot = (group * LANES + lane) as u32;
-                    if look.whole >> lane & 1 != 0 {
-                        let (first, second) = (&a[i as usize], &b[j as usize]);
-                        let in_order = first.area < second.area
-                            || (first.area == second.area && comes_first(&first.corners, &second.corners));
-                        let [small, large] = if in_order { [i, j] } else { [j, i] };
-                        self.whole[look.kernels[lane]].push(Whole { slot, small, large, swapped: !in_order });
-                    } else if look.facing >> lane & 1 != 0 {
-                        self.add(&a[i as usize].shape(), &b[j as usize].shape(), accuracy, slot);
+                    let (first, second) = (&a[i as usize], &b[j as usize]);
+                    let sides = if look.whole >> lane & 1 != 0 {
+                        [Side::Front; 2]
+                    } else {
+                        [side_of(&first.corners, &second.plane()), side_of(&second.corners, &first.plane())]
+                    };
+                    match sides {
+                        [Side::Front, Side::Front] => {
+                            let in_order = first.area < second.area
+                                || (first.area == second.area && comes_first(&first.corners, &second.corners));
+                            let [small, large] = if in_order { [i, j] } else { [j, i] };
+                            self.whole[look.kernels[lane]].push(Whole { slot, small, large, swapped: !in_order });
+                        }
+                        [Side::Behind, _] | [_, Side::Behind] => {}
+                        _ => self.add(&first.shape(), &second.shape(), accuracy, slot),
                     }
                 }
             }
@@ -184,7 +198,7 @@ impl Batch {
         let l = Shape { corners: l, centre: large.centre - origin, ..*large };
         let normals = [s.normal, l.normal];
         let (mut cut_s, mut cut_l) = (Vec::new(), Vec::new());
-        let (s, l) = match [side(&s, &l), side(&l, &s)] {
+        let (s, l) = match [side_of(s.corners, &plane(&l)), side_of(l.corners, &plane(&s))] {
             [Side::Front, Side::Front] => (s, l),
             [Side::Behind, _] | [_, Side::Behind] => {
                 self.corners.truncate(first);
@@ -308,20 +322,6 @@ fn plane(shape: &Shape) -> Plane {
     Plane { normal: shape.normal, point: shape.corners[0] }
 }
 
-/// Where `a` lies as seen from the plane of `b`. The common cases first: the whole polygon clearly in front, or behind.
-#[inline]
-fn side(a: &Shape, b: &Shape) -> Side {
-    let plane = plane(b);
-    let distance = plane.distance(a.centre);
-    if distance > 2.0 * a.radius {
-        Side::Front
-    } else if distance < -2.0 * a.radius {
-        Side::Behind
-    } else {
-        side_of(a.corners, &plane)
-    }
-}
-
 /// The part of a polygon that has been cut out; none when it has no area. `normal` is the whole one's, which knows better.
 fn part(cut: &[Vec3], normal: Vec3) -> Option<Shape<'_>> {
     if cut.len() < 3 {
@@ -377,24 +377,16 @@ impl Pairs<3> for WholePairs<'_> {
 
     #[inline(always)]
     fn load<D: Double>(self, first: usize) -> Lanes<D, 3> {
-        let mut corners = [[[[0.0; LANES]; 3]; 3]; 2];
-        let mut normals = [[[0.0; LANES]; 3]; 2];
-        for lane in 0..LANES {
-            let [small, large] = self.pairs[(first + lane).min(self.pairs.len() - 1)].patches(self.a, self.b);
-            put(&small.normal, &mut normals[0], lane);
-            put(&large.normal, &mut normals[1], lane);
-            for k in 0..3 {
-                put(&small.corners[k], &mut corners[0][k], lane);
-                put(&large.corners[k], &mut corners[1][k], lane);
-            }
-        }
+        let pair = |lane: usize| self.pairs[(first + lane).min(self.pairs.len() - 1)].patches(self.a, self.b);
+        let patches = [pair(0), pair(1), pair(2), pair(3), pair(4), pair(5), pair(6), pair(7)];
+        let origin = Vectors::load(&columns(&patches, |pair| pair[0].corners[0]));
         let zero = Vectors::splat(Vec3::ZERO);
-        let origin: Vectors<D> = Vectors::load(&corners[0][0]);
         let mut lanes = Lanes { corners: [[zero; 3]; 2], counts: [3; 2], normals: [zero; 2] };
         for which in 0..2 {
-            lanes.normals[which] = Vectors::load(&normals[which]);
+            lanes.normals[which] = Vectors::load(&columns(&patches, |pair| pair[which].normal));
             for k in 0..3 {
-                lanes.corners[which][k] = Vectors::load(&corners[which][k]) - origin;
+                let corners = columns(&patches, |pair| pair[which].corners[k]);
+                lanes.corners[which][k] = Vectors::load(&corners) - origin;
             }
         }
         lanes
@@ -462,6 +454,18 @@ impl<const N: usize> Pairs<N> for CutPairs<'_> {
     }
 }
 
+/// One vector of each of eight items, as the rows x, y, z.
+#[inline(always)]
+fn columns<T>(items: &[T; LANES], get: impl Fn(&T) -> Vec3) -> [[f64; LANES]; 3] {
+    let [a, b, c, d, e, f, g, h] = items;
+    let [a, b, c, d, e, f, g, h] = [get(a), get(b), get(c), get(d), get(e), get(f), get(g), get(h)];
+    [
+        [a.x, b.x, c.x, d.x, e.x, f.x, g.x, h.x],
+        [a.y, b.y, c.y, d.y, e.y, f.y, g.y, h.y],
+        [a.z, b.z, c.z, d.z, e.z, f.z, g.z, h.z],
+    ]
+}
+
 #[inline(always)]
 fn put(v: &Vec3, rows: &mut [[f64; LANES]; 3], lane: usize) {
     rows[0][lane] = v.x;
@@ -476,7 +480,7 @@ fn rule_kernel<D: Double, P: Pairs<N>, const N: usize>(pairs: P, kernel: Kernel,
         let lanes: Lanes<D, N> = pairs.load(first);
         let [small, large] = lanes.polygons();
         let g = match kernel {
-            Kernel::Area(rule) => area_quadrature::exchange(&small, &large, rule.points()),
+            Kernel::Area(rule) => area_quadrature::exchange(&small, &large, rule),
             Kernel::Point(rule) => point_to_polygon::exchange(&small, &large, rule.points()),
             Kernel::Contour => D::splat(0.0),
         };
@@ -525,7 +529,7 @@ fn contour_kernel<D: Double, P: Pairs<N>, const N: usize>(
             slots[lane] = (contours.len() + lane) as u32;
         }
         let [small, large] = lanes.polygons();
-        let estimate = area_quadrature::exchange(&small, &large, TriangleRule::P3.points());
+        let estimate = area_quadrature::exchange(&small, &large, TriangleRule::P3);
         let allowed = estimate * D::splat(accuracy.tolerance() * CONTOUR_SHARE * std::f64::consts::TAU);
         let sum = contour::exchange(&small, &large, allowed, &slots[..used], special).to_array();
         let rounding = (contour::rounding(&small, &large) / (factor * factor)).to_array();
@@ -562,25 +566,22 @@ struct Look {
 
 #[inline(always)]
 fn classify_kernel<M: Machine>(a: &[Patch], b: &[Patch], pairs: &[[u32; 2]], accuracy: &Accuracy) -> Look {
-    let (mut centres, mut normals) = ([[[0.0; LANES]; 3]; 2], [[[0.0; LANES]; 3]; 2]);
-    let (mut radii, mut areas) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
-    for (lane, &[i, j]) in pairs.iter().enumerate() {
-        let (first, second) = (&a[i as usize], &b[j as usize]);
-        put(&first.centre, &mut centres[0], lane);
-        put(&second.centre, &mut centres[1], lane);
-        put(&first.normal, &mut normals[0], lane);
-        put(&second.normal, &mut normals[1], lane);
-        (radii[0][lane], radii[1][lane]) = (first.radius, second.radius);
-        (areas[0][lane], areas[1][lane]) = (first.area, second.area);
-    }
-    let [radius_a, radius_b] = [M::Double::load(&radii[0]), M::Double::load(&radii[1])];
-    let [area_a, area_b] = [M::Double::load(&areas[0]), M::Double::load(&areas[1])];
-    let between: Vectors<M::Double> = Vectors::load(&centres[1]) - Vectors::load(&centres[0]);
-    let before_a = Vectors::load(&normals[0]).dot(between);
-    let before_b = -Vectors::load(&normals[1]).dot(between);
-    // Twice the radius leaves room for rounding.
-    let two = M::Double::splat(2.0);
-    let (reach_a, reach_b) = (two * radius_a, two * radius_b);
+    let pair = |lane: usize| {
+        let [i, j] = pairs[lane.min(pairs.len() - 1)];
+        [&a[i as usize], &b[j as usize]]
+    };
+    let patches = [pair(0), pair(1), pair(2), pair(3), pair(4), pair(5), pair(6), pair(7)];
+    // Radii and areas together: no closure of this kernel may use its vectors, for it would not have the instructions.
+    let sizes = columns(&patches, |pair| Vec3::new(pair[0].radius, pair[0].area, 0.0));
+    let (radius_a, area_a) = (M::Double::load(&sizes[0]), M::Double::load(&sizes[1]));
+    let sizes = columns(&patches, |pair| Vec3::new(pair[1].radius, pair[1].area, 0.0));
+    let (radius_b, area_b) = (M::Double::load(&sizes[0]), M::Double::load(&sizes[1]));
+    let between: Vectors<M::Double> = Vectors::load(&columns(&patches, |pair| pair[1].centre - pair[0].centre));
+    let before_a = Vectors::load(&columns(&patches, |pair| pair[0].normal)).dot(between);
+    let before_b = -Vectors::load(&columns(&patches, |pair| pair[1].normal)).dot(between);
+    // A little more than the radius leaves room for rounding.
+    let more = M::Double::splat(1.01);
+    let (reach_a, reach_b) = (more * radius_a, more * radius_b);
     let facing = (-reach_b).lt(before_a) & (-reach_a).lt(before_b);
     let whole = reach_b.lt(before_a) & reach_a.lt(before_b);
     let distance = between.dot(between).sqrt();

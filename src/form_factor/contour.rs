@@ -134,8 +134,12 @@ pub(super) fn exchange<D: Double>(
             let hard = active & !easy;
             if hard != 0 {
                 let (cosines, shares) = (cosine.to_array(), (share / cosine.abs().max(D::splat(1e-300))).to_array());
-                let ends = [small.corners[i], small.corners[(i + 1) % ns], large.corners[j], large.corners[(j + 1) % nl]]
-                    .map(points);
+                let ends = [
+                    points(small.corners[i]),
+                    points(small.corners[(i + 1) % ns]),
+                    points(large.corners[j]),
+                    points(large.corners[(j + 1) % nl]),
+                ];
                 for (k, &slot) in slots.iter().enumerate().filter(|(k, _)| hard >> k & 1 != 0) {
                     let [e0, e1, f0, f1] = ends.map(|points| points[k]);
                     let (e, f) = ([e0, e1], [f0, f1]);
