@@ -40,7 +40,13 @@ fn read(path: &Path) -> Set {
 }
 
 /// Median nanoseconds a pair, and the exchanges.
-fn measure(a: &[Patch], b: &[Patch], pairs: &[[u32; 2]], accuracy: &Accuracy, instructions: Instructions) -> (f64, Vec<f64>) {
+fn measure(
+    a: &[Patch],
+    b: &[Patch],
+    pairs: &[[u32; 2]],
+    accuracy: &Accuracy,
+    instructions: Instructions,
+) -> (f64, Vec<f64>) {
     let mut batch = Batch::with_instructions(instructions);
     let mut out = vec![0.0; pairs.len()];
     let repeats = PAIRS.div_ceil(pairs.len());

@@ -91,6 +91,17 @@ fn fraction<D: Double>(
     (cosines * D::splat(weight), r2 * r2)
 }
 
+/// The areas of eight polygons.
+#[inline(always)]
+pub(super) fn area<D: Double>(corners: &[Vectors<D>]) -> D {
+    let mut sum = D::splat(0.0);
+    for k in 2..corners.len() {
+        let normal = (corners[k - 1] - corners[0]).cross(corners[k] - corners[0]);
+        sum = sum + normal.dot(normal).sqrt();
+    }
+    D::splat(0.5) * sum
+}
+
 /// The points of the rule on triangle 0, k - 1, k of the fan; returns its area.
 #[inline(always)]
 fn place<D: Double, const N: usize>(

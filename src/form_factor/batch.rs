@@ -7,6 +7,7 @@
 //!
 //! A pair's result depends on nothing but the pair, whatever else is in the batch; and (a, b) gives the bits of (b, a).
 
+use super::pieces::{Pair, pieces};
 use super::select::{Kernel, densest_point_error};
 use super::{Accuracy, Polygons, Shape, area_quadrature, contour, point_to_polygon};
 use crate::geometry::polygon::{MAX_CORNERS, Plane, Side, area_vector, clip_to_front, side_of};
@@ -70,7 +71,6 @@ struct Cut {
     first: u32,
     counts: [u32; 2],
     normals: [Vec3; 2],
-    q_point: f64,
 }
 
 impl Cut {
@@ -133,7 +133,14 @@ impl Batch {
     }
 
     /// out_k = G of patch i of `a` and patch j of `b` for pair k = (i, j), unoccluded, m^2.
-    pub fn exchange_pairs(&mut self, a: &[Patch], b: &[Patch], pairs: &[[u32; 2]], accuracy: &Accuracy, out: &mut [f64]) {
+    pub fn exchange_pairs(
+        &mut self,
+        a: &[Patch],
+        b: &[Patch],
+        pairs: &[[u32; 2]],
+        accuracy: &Accuracy,
+        out: &mut [f64],
+    ) {
         for (pairs, out) in pairs.chunks(BLOCK).zip(out.chunks_mut(BLOCK)) {
             self.clear();
             out.fill(0.0);
@@ -216,7 +223,7 @@ impl Batch {
         };
         let [q_area, q_point] = ratios(&s, &l);
         let counts = [s.corners.len() as u32, l.corners.len() as u32];
-        let cut = Cut { slot, first: first as u32, counts, normals: [s.normal, l.normal], q_point };
+        let cut = Cut { slot, first: first as u32, counts, normals: [s.normal, l.normal] };
         self.buckets[cut.is_large()][accuracy.choice(q_area, q_point)].push(self.cut.len() as u32);
         self.cut.push(cut);
     }
@@ -251,46 +258,62 @@ impl Batch {
         }
     }
 
-    /// Adds the special edges, and computes by points what rounding has spoilt.
+    /// Adds the special edges, and computes in another way what rounding has spoilt.
     fn finish_contours(&mut self, a: &[Patch], b: &[Patch], accuracy: &Accuracy, out: &mut [f64]) {
         let mut sums: Vec<f64> = self.contours.iter().map(|c| c.sum).collect();
         special_edges(self.instructions, &self.special, &mut sums);
-        let (mut whole, mut cut): (Vec<Whole>, [Vec<u32>; 2]) = Default::default();
         for (c, sum) in self.contours.iter().zip(sums) {
             let g = (sum / (std::f64::consts::TAU * c.scale * c.scale)).max(0.0);
             let rounding = 2.0 * f64::EPSILON * g + c.rounding;
-            let (slot, kept) = if accuracy.is_forced() || rounding <= accuracy.tolerance() * g {
-                (c.slot(&self.whole, &self.cut), true)
-            } else {
-                // Where cancellation has eaten the tolerance, the densest point rule is taken if it is known to lose less.
-                let q_point = if c.is_whole {
-                    let [small, large] = self.whole[Kernel::ALL.len() - 1][c.pair as usize].patches(a, b);
-                    ratios(&small.shape(), &large.shape())[1]
-                } else {
-                    self.cut[c.pair as usize].q_point
-                };
-                (c.slot(&self.whole, &self.cut), rounding <= densest_point_error(q_point) * g)
-            };
-            if kept {
-                out[slot as usize] = g;
-            } else if c.is_whole {
-                whole.push(self.whole[Kernel::ALL.len() - 1][c.pair as usize]);
-            } else {
-                cut[self.cut[c.pair as usize].is_large()].push(c.pair);
+            let kept = accuracy.is_forced() || rounding <= accuracy.tolerance() * g;
+            out[c.slot(&self.whole, &self.cut) as usize] =
+                if kept { g } else { self.spoilt(c, g, rounding, a, b, accuracy) };
+        }
+    }
+
+    /// The exchange of a pair of which the contour integral gave `g`, with an error of `rounding`: by pieces; where that
+    /// takes too many, by the densest point rule if that is known to lose less.
+    #[cold]
+    fn spoilt(&self, c: &Contour, g: f64, rounding: f64, a: &[Patch], b: &[Patch], accuracy: &Accuracy) -> f64 {
+        let pair: Pair = if c.is_whole {
+            let pair = self.whole[CONTOUR][c.pair as usize].patches(a, b);
+            let origin = pair[0].corners[0];
+            pair.map(|patch| (patch.corners.map(|v| v - origin).to_vec(), patch.normal))
+        } else {
+            let Cut { first, counts: [s, l], normals, .. } = self.cut[c.pair as usize];
+            let corners = &self.corners[first as usize..][..(s + l) as usize];
+            [(corners[..s as usize].to_vec(), normals[0]), (corners[s as usize..].to_vec(), normals[1])]
+        };
+        // What is already lost in `g` matters little for a bound.
+        let allowed = 0.1 * accuracy.tolerance() * g.max(rounding);
+        let q_point = {
+            let [s, l] = pair.each_ref().map(|(corners, normal)| part(corners, *normal));
+            s.zip(l).map_or(f64::INFINITY, |(s, l)| ratios(&s, &l)[1])
+        };
+        let mut batch = Batch::with_instructions(self.instructions);
+        let (pairs, accuracy) = match pieces(pair.clone(), accuracy, allowed) {
+            Some(pairs) => (pairs, accuracy.forced()),
+            None if rounding <= densest_point_error(q_point) * g => return g,
+            None => (vec![pair], Accuracy::by(Kernel::Point(TriangleRule::P16))),
+        };
+        let mut parts = vec![0.0; pairs.len()];
+        for (k, pair) in pairs.iter().enumerate() {
+            let [s, l] = pair.each_ref().map(|(corners, normal)| part(corners, *normal));
+            if let Some((s, l)) = s.zip(l) {
+                batch.add(&s, &l, &accuracy, k as u32);
             }
         }
-        let kernel = Kernel::Point(TriangleRule::P16);
-        rule_on_whole(self.instructions, WholePairs { a, b, pairs: &whole }, kernel, out);
-        let [few, many] = &cut;
-        let work = CutPairs { corners: &self.corners, cut: &self.cut, bucket: few };
-        rule_on_few(self.instructions, work, kernel, out);
-        rule_on_many(self.instructions, CutPairs { bucket: many, ..work }, kernel, out);
+        batch.run(&[], &[], &accuracy, &mut parts);
+        parts.iter().sum()
     }
 }
 
+/// The place of the contour integral among the kernels.
+const CONTOUR: usize = Kernel::ALL.len() - 1;
+
 impl Contour {
     fn slot(&self, whole: &[Vec<Whole>; Kernel::ALL.len()], cut: &[Cut]) -> u32 {
-        if self.is_whole { whole[Kernel::ALL.len() - 1][self.pair as usize].slot } else { cut[self.pair as usize].slot }
+        if self.is_whole { whole[CONTOUR][self.pair as usize].slot } else { cut[self.pair as usize].slot }
     }
 }
 
@@ -304,7 +327,7 @@ impl Whole {
 }
 
 /// The ratios q_area and q_point of a pair (see [`super::select`]).
-fn ratios(small: &Shape, large: &Shape) -> [f64; 2] {
+pub(super) fn ratios(small: &Shape, large: &Shape) -> [f64; 2] {
     let distance = small.centre.distance(large.centre);
     let to_plane = large.normal.dot(small.centre - large.centre).abs();
     let nearest = to_plane.max(distance - large.radius).max(f64::MIN_POSITIVE);
@@ -492,8 +515,8 @@ fn rule_kernel<D: Double, P: Pairs<N>, const N: usize>(pairs: P, kernel: Kernel,
     }
 }
 
-/// The error that contour integrals may have, as a part of the tolerance and of what 3 x 3 points make of the exchange:
-/// near pairs, where those are off by a factor.
+/// The error that contour integrals may have, as a part of the tolerance and of what 3 x 3 points make of the exchange, but
+/// no more than the smaller area: near pairs, where points are off by a factor.
 const CONTOUR_SHARE: f64 = 0.3;
 
 #[inline(always)]
@@ -529,7 +552,8 @@ fn contour_kernel<D: Double, P: Pairs<N>, const N: usize>(
             slots[lane] = (contours.len() + lane) as u32;
         }
         let [small, large] = lanes.polygons();
-        let estimate = area_quadrature::exchange(&small, &large, TriangleRule::P3);
+        let estimate =
+            area_quadrature::exchange(&small, &large, TriangleRule::P3).min(area_quadrature::area(small.corners));
         let allowed = estimate * D::splat(accuracy.tolerance() * CONTOUR_SHARE * std::f64::consts::TAU);
         let sum = contour::exchange(&small, &large, allowed, &slots[..used], special).to_array();
         let rounding = (contour::rounding(&small, &large) / (factor * factor)).to_array();

@@ -18,11 +18,12 @@ use crate::geometry::quadrature::{GAUSS, MOST_GAUSS_POINTS};
 use crate::simd::double::{Double, LANES, Vectors, angle, ln};
 
 /// The rounding error of a result G is below 2 eps G and this, m^2: 2 eps (1 + D/l) P_a P_b / 2 pi, with P the perimeters,
-/// D the distance of the centres and l a third of the smaller perimeter.
+/// D the distance and l a third of the smaller perimeter.
 #[inline(always)]
 pub(super) fn rounding<D: Double>(small: &Polygons<D>, large: &Polygons<D>) -> D {
     let (p, q) = (perimeter(small.corners), perimeter(large.corners));
-    let way = centre(small.corners) - centre(large.corners);
+    // Between first corners: about as far as the centres, and padding does not move them.
+    let way = small.corners[0] - large.corners[0];
     let distance = way.dot(way).sqrt();
     let ratio = D::splat(3.0) * distance / p.min(q);
     let terms = (D::splat(1.0) + ratio) * p * q * D::splat(1.0 / std::f64::consts::TAU);
@@ -37,16 +38,6 @@ fn perimeter<D: Double>(corners: &[Vectors<D>]) -> D {
         sum = sum + side.dot(side).sqrt();
     }
     sum
-}
-
-/// About the centre: padded corners count more than once.
-#[inline(always)]
-fn centre<D: Double>(corners: &[Vectors<D>]) -> Vectors<D> {
-    let mut sum = corners[0];
-    for corner in &corners[1..] {
-        sum = sum + *corner;
-    }
-    sum.scaled(D::splat(1.0 / corners.len() as f64))
 }
 
 /// Edges, one a lane: start, unit direction, length.
@@ -78,11 +69,7 @@ impl<D: Double> Edges<D> {
 
 #[inline(always)]
 fn select<D: Double>(mask: D::Mask, yes: Vectors<D>, no: Vectors<D>) -> Vectors<D> {
-    Vectors {
-        x: D::select(mask, yes.x, no.x),
-        y: D::select(mask, yes.y, no.y),
-        z: D::select(mask, yes.z, no.z),
-    }
+    Vectors { x: D::select(mask, yes.x, no.x), y: D::select(mask, yes.y, no.y), z: D::select(mask, yes.z, no.z) }
 }
 
 /// Two edges that need more than one Gauss rule, and the pair whose integral they belong to.
@@ -91,7 +78,7 @@ pub(super) struct Special {
     slot: u32,
     /// e^ . f^
     cosine: f64,
-    /// The error that is allowed in the integral of ln r.
+    /// The error that is allowed in the integral of ln r, divided by the lengths.
     allowed: f64,
     e: [Vec3; 2],
     f: [Vec3; 2],
@@ -113,7 +100,8 @@ pub(super) fn exchange<D: Double>(
     let zero = D::splat(0.0);
     let (ns, nl) = (small.corners.len(), large.corners.len());
     let mut sum = zero;
-    let share = allowed * D::splat(1.0 / (ns * nl) as f64);
+    // Every pair of edges may be off by as much as its lengths are of the perimeters.
+    let share = allowed / (perimeter(small.corners) * perimeter(large.corners));
     let lanes = (1u32 << slots.len()) - 1;
     for i in 0..ns {
         let e = Edges::new(small.corners[i], small.corners[(i + 1) % ns]);
@@ -128,12 +116,12 @@ pub(super) fn exchange<D: Double>(
             let longer = f.length.lt(e.length);
             let (outer, inner) = (Edges::select(longer, f, e), Edges::select(longer, e, f));
             let touching = common_corner(small.corners, i, large.corners, j);
-            let needed = points_needed(outer, inner, zero, outer.length, share / weight.max(D::splat(1e-300)));
+            let needed = points_needed(outer, inner, zero, outer.length, share);
             // What is not a number needs care as well.
             let easy = D::bits(needed.lt(D::splat(MOST_GAUSS_POINTS as f64 + 0.5))) & !D::bits(touching);
             let hard = active & !easy;
             if hard != 0 {
-                let (cosines, shares) = (cosine.to_array(), (share / cosine.abs().max(D::splat(1e-300))).to_array());
+                let (cosines, shares) = (cosine.to_array(), share.to_array());
                 let ends = [
                     points(small.corners[i]),
                     points(small.corners[(i + 1) % ns]),
@@ -353,12 +341,8 @@ fn load<D: Double>(special: &[Special], group: &[u32]) -> (Edges<D>, Edges<D>) {
             }
         }
     }
-    let [e0, e1, f0, f1] = [
-        Vectors::load(&rows[0]),
-        Vectors::load(&rows[1]),
-        Vectors::load(&rows[2]),
-        Vectors::load(&rows[3]),
-    ];
+    let [e0, e1, f0, f1] =
+        [Vectors::load(&rows[0]), Vectors::load(&rows[1]), Vectors::load(&rows[2]), Vectors::load(&rows[3])];
     (Edges::new(e0, e1), Edges::new(f0, f1))
 }
 
@@ -380,7 +364,8 @@ fn parallel_edges<D: Double>(e: Edges<D>, f: Edges<D>) -> D {
     // f runs from c to c + f.length along e's direction, whichever way it points itself.
     let first = offset.dot(e.direction);
     let c = D::select(zero.lt(e.direction.dot(f.direction)), first, first - f.length);
-    parallel_antiderivative(e.length - c, h) - parallel_antiderivative(-c, h)
+    parallel_antiderivative(e.length - c, h)
+        - parallel_antiderivative(-c, h)
         - parallel_antiderivative(e.length - c - f.length, h)
         + parallel_antiderivative(-c - f.length, h)
 }
@@ -435,7 +420,8 @@ fn graded_quadrature<D: Double>(special: &[Special], graded: &[u32], values: &mu
     while !pieces.is_empty() {
         for group in pieces.chunks(LANES) {
             let lane_of = |lane: usize| group[lane.min(group.len() - 1)];
-            let (mut numbers, mut lows, mut highs, mut allowed) = ([0; LANES], [0.0; LANES], [0.0; LANES], [0.0; LANES]);
+            let (mut numbers, mut lows, mut highs, mut allowed) =
+                ([0; LANES], [0.0; LANES], [0.0; LANES], [0.0; LANES]);
             for lane in 0..LANES {
                 let piece = lane_of(lane);
                 numbers[lane] = piece.special;
@@ -444,8 +430,7 @@ fn graded_quadrature<D: Double>(special: &[Special], graded: &[u32], values: &mu
             }
             let (e, f) = load::<D>(special, &numbers);
             let (low, high) = (D::load(&lows) * e.length, D::load(&highs) * e.length);
-            let error = D::load(&allowed) / (e.length * f.length).max(D::splat(1e-300));
-            let needed = points_needed(e, f, low, high, error).to_array();
+            let needed = points_needed(e, f, low, high, D::load(&allowed)).to_array();
             let mut counts = [0; LANES];
             for (lane, piece) in group.iter().enumerate() {
                 if needed[lane] <= POINTS_A_PIECE || piece.high - piece.low <= SMALLEST_PIECE {

@@ -13,6 +13,7 @@
 //! | [`point_to_polygon`] | Lambert's closed form from points of the smaller polygon | middle distances, very unequal sizes |
 //! | [`contour`] | double line integral, the inner one analytic | touching and close pairs |
 //! | [`select`] | which of them, for a tolerance | |
+//! | [`pieces`] | cut polygons, where no kernel can do the whole | slivers, very unequal sizes |
 //! | [`batch`] | many pairs, eight at a time | |
 //! | [`occluded`] | the visible fraction V of a pair | |
 //!
@@ -33,6 +34,7 @@ pub mod area_quadrature;
 pub mod batch;
 pub mod contour;
 pub mod occluded;
+mod pieces;
 pub mod point_to_polygon;
 pub mod select;
 

@@ -97,6 +97,11 @@ impl Accuracy {
         Accuracy { thresholds: Thresholds { tolerance: Accuracy::TIGHTEST, most }, forced: true }
     }
 
+    /// The same kernels, whose results are kept whatever their rounding.
+    pub(super) fn forced(&self) -> Accuracy {
+        Accuracy { forced: true, ..*self }
+    }
+
     pub(super) fn is_forced(&self) -> bool {
         self.forced
     }

@@ -11,12 +11,7 @@ pub(crate) const LANES: usize = 8;
 
 /// Eight numbers.
 pub(crate) trait Double:
-    Copy
-    + Add<Output = Self>
-    + Sub<Output = Self>
-    + Mul<Output = Self>
-    + Div<Output = Self>
-    + Neg<Output = Self>
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
     type Mask: Copy + BitAnd<Output = Self::Mask> + BitOr<Output = Self::Mask>;
 
@@ -142,12 +137,13 @@ impl<D: Double> Vectors<D> {
         self.x.mul_add(other.x, self.y.mul_add(other.y, self.z * other.z))
     }
 
+    /// Both products are rounded, so that the cross product of equal vectors is 0.
     #[inline(always)]
     pub(crate) fn cross(self, other: Self) -> Self {
         Vectors {
-            x: self.y.mul_add(other.z, -(self.z * other.y)),
-            y: self.z.mul_add(other.x, -(self.x * other.z)),
-            z: self.x.mul_add(other.y, -(self.y * other.x)),
+            x: self.y * other.z - self.z * other.y,
+            y: self.z * other.x - self.x * other.z,
+            z: self.x * other.y - self.y * other.x,
         }
     }
 
@@ -319,9 +315,7 @@ mod x86 {
     operator!(QuadMask, BitAnd, bitand, |a, b| unsafe {
         QuadMask([_mm256_and_pd(a[0], b[0]), _mm256_and_pd(a[1], b[1])])
     });
-    operator!(QuadMask, BitOr, bitor, |a, b| unsafe {
-        QuadMask([_mm256_or_pd(a[0], b[0]), _mm256_or_pd(a[1], b[1])])
-    });
+    operator!(QuadMask, BitOr, bitor, |a, b| unsafe { QuadMask([_mm256_or_pd(a[0], b[0]), _mm256_or_pd(a[1], b[1])]) });
 
     macro_rules! arithmetic {
         ($($trait:ident, $name:ident, $of_four:ident, $of_eight:ident;)*) => {
@@ -417,9 +411,7 @@ mod x86 {
         #[inline(always)]
         fn lt(self, other: Self) -> QuadMask {
             let (a, b) = (self.0, other.0);
-            unsafe {
-                QuadMask([_mm256_cmp_pd::<_CMP_LT_OQ>(a[0], b[0]), _mm256_cmp_pd::<_CMP_LT_OQ>(a[1], b[1])])
-            }
+            unsafe { QuadMask([_mm256_cmp_pd::<_CMP_LT_OQ>(a[0], b[0]), _mm256_cmp_pd::<_CMP_LT_OQ>(a[1], b[1])]) }
         }
         #[inline(always)]
         fn select(mask: QuadMask, yes: Self, no: Self) -> Self {

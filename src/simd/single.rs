@@ -349,4 +349,3 @@ mod x86 {
 
     pair!([add, sub, mul, div, min, max, flip], [mul_add, mul_sub, neg_mul_add]);
 }
-

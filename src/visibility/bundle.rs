@@ -10,10 +10,10 @@ use super::bvh::Bvh;
 use super::intersect::{ACROSS, main_axis};
 use super::ray::Segment;
 use super::sift::Edges;
-use crate::simd::single::Lanes;
-use crate::simd::{Machine, for_every_machine};
 use super::wide::{COORDINATE_ERROR, LEAF, Node, Pack};
 use crate::geometry::Vec3;
+use crate::simd::single::Lanes;
+use crate::simd::{Machine, for_every_machine};
 
 /// Segments that travel together.
 const MOST: usize = 64;

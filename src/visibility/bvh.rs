@@ -11,12 +11,12 @@ use glam::Vec3A;
 
 use super::build::{Bounds, binary_tree};
 use super::ray::Hit;
-use crate::simd::Instructions;
 use super::wide::Wide;
 use crate::geometry::polygon::area_vector;
 use crate::geometry::sampling::hash;
 use crate::geometry::{Triangle, Vec3};
 use crate::scene::Scene;
+use crate::simd::Instructions;
 
 /// The place of a patch that is not in the tree.
 const NOWHERE: u32 = u32::MAX;

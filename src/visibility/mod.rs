@@ -26,6 +26,6 @@ mod sift;
 mod traverse;
 mod wide;
 
+pub use crate::simd::Instructions;
 pub use bvh::Bvh;
 pub use ray::{Hit, NO_PATCH, Ray, Segment};
-pub use crate::simd::Instructions;

@@ -4,8 +4,8 @@
 //! carry bounds on the error of their edge functions. What is neither surely hit nor surely missed, one triangle in some
 //! hundreds, is decided in f64 ([`super::intersect`]): so answers do not depend on how a machine rounds here.
 
-use crate::simd::single::Lanes;
 use super::wide::{COORDINATE_ERROR, Pack};
+use crate::simd::single::Lanes;
 
 /// Triangles in the lanes of a ray, or rays in the lanes of a triangle.
 pub(super) struct Sifted<V> {

@@ -9,9 +9,9 @@ use super::bvh::Bvh;
 use super::intersect::Line;
 use super::ray::{Hit, Ray, Segment};
 use super::sift::{Sifted, sift_pack};
+use super::wide::{DONE, LEAF, Node, Pack};
 use crate::simd::single::{Eight, Lanes, Places};
 use crate::simd::{Machine, for_every_machine};
-use super::wide::{DONE, LEAF, Node, Pack};
 
 /// For every octant of directions and every set of lanes: the lanes of the set from the far end of the ray to the near.
 static FAR_TO_NEAR: [[Places; 256]; 8] = {

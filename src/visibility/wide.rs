@@ -8,8 +8,8 @@
 //!   D(n, k) = min over 0 < m < k of C(left, m) + C(right, k - m)
 
 use super::build::{BinaryNode, Content};
-use crate::simd::prefetch;
 use crate::geometry::{Triangle, Vec3};
+use crate::simd::prefetch;
 
 /// Boxes a node, triangles a leaf.
 pub(super) const WIDTH: usize = 8;

@@ -1,23 +1,28 @@
 //! Form factors against closed forms (Howell's catalogue), against each other, and against the symmetries of space.
 
-use radiosity::form_factor::area_quadrature::{self, kernel};
+use radiosity::form_factor::area_quadrature::kernel;
 use radiosity::form_factor::occluded::{End, VisibleFraction, visible_fraction};
-use radiosity::form_factor::{Accuracy, Scratch, Shape, contour, exchange, point_to_polygon};
+use radiosity::form_factor::{Accuracy, Batch, Kernel, Patch, Shape, exchange, point_to_polygon};
 use radiosity::geometry::polygon::{Plane, area, clip_to_front};
 use radiosity::geometry::quadrature::TriangleRule;
 use radiosity::geometry::{Triangle, Vec3};
-use radiosity::visibility::Bvh;
+use radiosity::visibility::{Bvh, Instructions};
 
 use crate::common::{Mesh, Random, assert_close, invalid, plate, rotated, two_plates, vec3};
 
 /// G of two polygons at a tolerance.
 fn g(a: &[Vec3], b: &[Vec3], tolerance: f64) -> f64 {
-    exchange(&Shape::new(a), &Shape::new(b), Accuracy::new(tolerance).unwrap(), &mut Scratch::default())
+    exchange(&Shape::new(a), &Shape::new(b), &Accuracy::new(tolerance).unwrap())
 }
 
-/// F at the tightest tolerance.
+/// F to 1e-8.
 fn f(a: &[Vec3], b: &[Vec3]) -> f64 {
-    g(a, b, Accuracy::TIGHTEST) / area(a)
+    g(a, b, 1e-8) / area(a)
+}
+
+/// G by one kernel.
+fn by(kernel: Kernel, a: &Shape, b: &Shape) -> f64 {
+    exchange(a, b, &Accuracy::by(kernel))
 }
 
 /// The rectangle with corners p, p + u, p + u + v, p + v; front along u x v.
@@ -68,7 +73,7 @@ fn rectangles_at_a_right_angle_howell_c14() {
         let exact = howell_c14(w, h);
         assert_close(f(&a, &b), exact, 1e-8 * exact);
         // The contour integral is exact but for rounding, and the closed form loses a few digits itself.
-        assert_close(contour::exchange(&Shape::new(&a), &Shape::new(&b)) / w, exact, 1e-12);
+        assert_close(by(Kernel::Contour, &Shape::new(&a), &Shape::new(&b)) / w, exact, 1e-12);
     }
     assert_close(howell_c14(1.0, 1.0), 0.200_043_776_075_403, 1e-14);
 }
@@ -125,7 +130,7 @@ fn triangles_with_common_edges_and_corners() {
         // hundred terms of the size of the perimeters' product, a few times the area.
         let in_front = |s: &Triangle, t: &Triangle| t.iter().all(|v| Plane::of(s).distance(*v) > -1e-12);
         if in_front(&a, &b) && in_front(&b, &a) && exact > 1e-3 {
-            assert_close(contour::exchange(&Shape::new(&a), &Shape::new(&b)) / area(&a), exact, 1e-13);
+            assert_close(by(Kernel::Contour, &Shape::new(&a), &Shape::new(&b)) / area(&a), exact, 1e-13);
             contours += 1;
         }
     }
@@ -203,7 +208,7 @@ fn the_reference_is_right_by_brute_force() {
         let mut sum = 0.0;
         for s in pieces_a.iter().map(|t| Shape::new(t)) {
             for t in pieces_b.iter().map(|t| Shape::new(t)) {
-                sum += area_quadrature::exchange(&s, &t, TriangleRule::P6);
+                sum += by(Kernel::Area(TriangleRule::P6), &s, &t);
             }
         }
         let value = g(&a, &b, 1e-8);
@@ -228,13 +233,13 @@ fn the_three_kernels_agree_at_middle_distances() {
         }
         pairs += 1;
         let (a, b) = (Shape::new(&a), Shape::new(&b));
-        let by_area = area_quadrature::exchange(&a, &b, TriangleRule::P16);
-        let by_point = point_to_polygon::exchange(&a, &b, TriangleRule::P16);
-        let by_contour = contour::exchange(&a, &b);
-        // Size over distance is below 0.2: degree 8 leaves 0.1^9. Point and contour sums cancel from 1 to 1e-3 and from
-        // the perimeters' product to G.
-        assert_close(by_point, by_area, 1e-9 * by_area);
-        assert_close(by_contour, by_area, 1e-9 * by_area + contour::rounding(&a, &b, by_area));
+        let by_area = by(Kernel::Area(TriangleRule::P12), &a, &b);
+        let by_point = by(Kernel::Point(TriangleRule::P16), &a, &b);
+        let by_contour = by(Kernel::Contour, &a, &b);
+        // Size over distance is below 0.15: degree 6 leaves 0.15^8 = 3e-7 of its first term's size, some hundredths.
+        assert_close(by_point, by_area, 1e-8 * by_area);
+        // The contour sum cancels from the product of the perimeters, about 16 at (1 + 3 D/P) = 20 times the rounding.
+        assert_close(by_contour, by_area, 1e-8 * by_area + 2.0 * f64::EPSILON * 20.0 * 16.0);
     }
 }
 
@@ -256,6 +261,33 @@ fn splitting_a_polygon_preserves_the_sum() {
         }
     }
     assert!(positive > 500);
+}
+
+#[test]
+fn a_batch_gives_the_bits_of_every_pair_alone_on_all_instructions_the_same_to_rounding() {
+    let random = Random::new(38);
+    let pairs: Vec<(&str, Triangle, Triangle)> = (0..1400).map(|case| random_pair(&random, case)).collect();
+    let (a, b): (Vec<Patch>, Vec<Patch>) = pairs.iter().map(|(_, a, b)| (Patch::new(*a), Patch::new(*b))).unzip();
+    let order: Vec<[u32; 2]> = (0..pairs.len() as u32).map(|k| [k, k]).collect();
+    for tolerance in [1e-2, 1e-5, 1e-8] {
+        let accuracy = Accuracy::new(tolerance).unwrap();
+        let all = Instructions::available().into_iter().map(|instructions| {
+            let mut out = vec![0.0; pairs.len()];
+            Batch::with_instructions(instructions).exchange_pairs(&a, &b, &order, &accuracy, &mut out);
+            out
+        });
+        let all: Vec<Vec<f64>> = all.collect();
+        let best = all.last().unwrap();
+        for (k, (name, p, q)) in pairs.iter().enumerate() {
+            // The other order, alone, as polygons: a different way through the code, the same numbers.
+            assert_eq!(g(q, p, tolerance).to_bits(), best[k].to_bits(), "{name} at {tolerance:e}: {p:?} {q:?}");
+            for other in &all {
+                // Fused or not, the terms differ by some ulp, and they cancel as far as the tolerance allows at most.
+                let rounding = 1e-11 * best[k] + 1e-14 * a[k].area.max(b[k].area);
+                assert_close(other[k], best[k], rounding);
+            }
+        }
+    }
 }
 
 #[test]
@@ -391,8 +423,8 @@ fn the_sides_of_a_box_see_everything() {
 
 #[test]
 fn accuracy_refuses_what_it_cannot_keep() {
-    for tolerance in [0.0, -1.0, 1.0, 1e-9, f64::NAN, f64::INFINITY] {
-        assert!(invalid(Accuracy::new(tolerance)).contains("is outside [1e-8, 1)"));
+    for tolerance in [0.0, -1.0, 1.0, 1e-11, f64::NAN, f64::INFINITY] {
+        assert!(invalid(Accuracy::new(tolerance)).contains("is outside [1e-10, 1)"));
     }
     for tolerance in TOLERANCES {
         assert!(Accuracy::new(tolerance).is_ok());

@@ -1,0 +1,74 @@
+//! Pairs that no kernel can do whole: very unequal, or slivers, where the contour integral cancels beyond the tolerance.
+//!
+//! The polygon that is larger is cut in two across its longest way, again and again, until every piece is far enough for
+//! a rule, or of a size at which the contour integral keeps its digits: log2 of the ratio of sizes many cuts where the two
+//! come close in one place.
+
+use super::select::Kernel;
+use super::{Accuracy, Shape};
+use crate::geometry::Vec3;
+use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
+
+/// More pieces than this are no better than a rule on the whole: two slivers side by side.
+const MOST_PIECES: usize = 512;
+
+/// Corners and normal of two polygons in front of each other.
+pub(super) type Pair = [(Vec<Vec3>, Vec3); 2];
+
+/// Cuts a pair until each piece suits a kernel; a contour integral may be off by `allowed`. `None` when that takes too many
+/// pieces.
+pub(super) fn pieces(pair: Pair, accuracy: &Accuracy, allowed: f64) -> Option<Vec<Pair>> {
+    let (mut open, mut done) = (vec![pair], Vec::new());
+    while let Some(pair) = open.pop() {
+        let [a, b] = pair.each_ref().map(|(corners, normal)| Shape::with_normal(corners, *normal, area(corners)));
+        if !(a.area > 0.0 && b.area > 0.0) {
+            continue;
+        }
+        let (small, large) = if a.area <= b.area { (&a, &b) } else { (&b, &a) };
+        let [q_area, q_point] = super::batch::ratios(small, large);
+        let contour = accuracy.choice(q_area, q_point) == Kernel::ALL.len() - 1;
+        if !contour || rounding(small, large) <= allowed {
+            done.push(pair);
+            continue;
+        }
+        if open.len() + done.len() >= MOST_PIECES {
+            return None;
+        }
+        let first_is_larger = a.radius >= b.radius;
+        let [(first, n), (second, m)] = pair;
+        if first_is_larger {
+            open.extend(halves(&first).map(|half| [(half, n), (second.clone(), m)]));
+        } else {
+            open.extend(halves(&second).map(|half| [(first.clone(), n), (half, m)]));
+        }
+    }
+    Some(done)
+}
+
+fn area(corners: &[Vec3]) -> f64 {
+    if corners.len() < 3 { 0.0 } else { area_vector(corners).length() }
+}
+
+/// The two parts of a polygon before and behind the middle of its longest edge.
+fn halves(corners: &[Vec3]) -> [Vec<Vec3>; 2] {
+    let edge = |k: usize| corners[(k + 1) % corners.len()] - corners[k];
+    let longest = (0..corners.len()).fold(0, |best, k| if edge(k).length() > edge(best).length() { k } else { best });
+    let point = corners[longest] + 0.5 * edge(longest);
+    let normal = edge(longest).normalize();
+    [normal, -normal].map(|normal| {
+        let mut half = Vec::with_capacity(corners.len() + 1);
+        clip_to_front(corners, &Plane { normal, point }, &mut half);
+        half
+    })
+}
+
+/// See [`super::contour::rounding`].
+fn rounding(small: &Shape, large: &Shape) -> f64 {
+    let perimeter = |s: &Shape| {
+        let n = s.corners.len();
+        (0..n).map(|k| s.corners[k].distance(s.corners[(k + 1) % n])).sum::<f64>()
+    };
+    let (p, q) = (perimeter(small), perimeter(large));
+    let ratio = 3.0 * small.centre.distance(large.centre) / p.min(q);
+    2.0 * f64::EPSILON * (1.0 + ratio) * p * q / std::f64::consts::TAU
+}
