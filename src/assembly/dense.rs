@@ -12,11 +12,14 @@ use super::FormFactors;
 use super::matrix::add_scaled;
 use crate::error::{Error, Result};
 use crate::form_factor::occluded::{End, visible_fraction};
+use crate::form_factor::shadow::{Shadows, Visible};
 use crate::form_factor::{Accuracy, Batch, Patch};
 use crate::geometry::sampling::hash;
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::visibility::Bvh;
+use crate::visibility::bodies::Bodies;
+use crate::visibility::shaft::Shaft;
 
 /// What to compute, and within what.
 #[derive(Debug, Clone, Copy)]
@@ -58,29 +61,25 @@ const PILOT: u32 = 16;
 const RATE: f64 = 0.6;
 /// A pair gets no more segments than this: beyond, a finer mesh is the better answer.
 const MOST_SEGMENTS: u32 = 1 << 16;
+/// With more bodies in a shaft, rays are cheaper than shadows.
+const MOST_BODIES: usize = 8;
 /// Rounds after the pilot. Each plans from what the last one measured; two nearly always suffice.
 const ROUNDS: usize = 4;
 /// Fixed number of partial sums in a product, whatever the number of threads: the same bits every time.
 const PARTS: usize = 32;
 
-/// A pair whose visibility has to be sampled.
+/// A pair between whose patches something may stand.
 #[derive(Debug, Clone, Copy)]
 struct Candidate {
     i: u32,
     j: u32,
-    /// Segments that the estimate rests on, and segments to cast in the next round.
-    cast: u32,
-    planned: u32,
+    /// Visible fraction, and its error: an estimate, or the expectation that segments leave which all agree.
     visible: f64,
-    standard_error: f64,
-}
-
-impl Candidate {
-    /// The error to count with. Segments that all agree leave the expectation 1 / (m + 2) for the part that none of them
-    /// met (Laplace's rule of succession): a thin bar is missed by few segments.
-    fn error(&self) -> f64 {
-        if self.standard_error > 0.0 { self.standard_error } else { 1.0 / f64::from(self.cast + 2) }
-    }
+    error: f64,
+    /// The error to be reached in the next round; infinite at first, when any will do, and 0 when there is nothing to do.
+    wanted: f64,
+    /// Segments that the estimate rests on; 0 when it comes from shadows.
+    segments: u32,
 }
 
 /// Memory for what is found on the way.
@@ -131,28 +130,29 @@ impl Dense {
             })
         };
         fits(Dense::forecast(n))?;
-        let blockers = Bvh::of_blockers(scene);
+        let blockers = Blockers { bodies: Bodies::of_scene(scene), tree: Bvh::of_blockers(scene) };
         let mut exchange = vec![0.0; row_start(n)];
         // How many pairs need their visibility sampled is known only as they are found.
         let room = Room { limit: options.memory - Dense::forecast(n), used: AtomicU64::new(0) };
-        let mut candidates = unoccluded(scene, accuracy, &blockers, &mut exchange, &room, progress)?;
+        let patches: Vec<Patch> = (0..n).map(|i| Patch::new(scene.triangle(i))).collect();
+        let mut candidates = unoccluded(&patches, accuracy, &blockers.bodies, &mut exchange, &room, progress)?;
         fits(Dense::forecast(n) + room.used.into_inner())?;
         let budget = (options.tolerance - accuracy.tolerance()).max(0.5 * options.tolerance);
         let mut segments = 0;
         let mut visibility_error = 0.0;
         for round in 0..=ROUNDS {
-            segments += sample(scene, &blockers, &mut candidates, options.seed, progress)?;
+            segments += sample(&patches, &blockers, &mut candidates, options.seed, progress)?;
             let errors = row_errors(scene.areas(), &exchange, &candidates);
             visibility_error = errors.iter().copied().fold(0.0, f64::max);
-            if round == ROUNDS || !plan(&mut candidates, &errors, budget) {
+            if round == ROUNDS || !plan(&mut candidates, scene.areas(), &exchange, budget) {
                 break;
             }
         }
         let mut uncertain = Vec::new();
         for c in &candidates {
             let g = &mut exchange[row_start(c.i as usize) + c.j as usize];
-            if c.standard_error > 0.0 && *g > 0.0 {
-                uncertain.push(Uncertain { i: c.i, j: c.j, standard_error: c.standard_error * *g });
+            if c.error > 0.0 && *g > 0.0 {
+                uncertain.push(Uncertain { i: c.i, j: c.j, standard_error: c.error * *g });
             }
             *g *= c.visible;
         }
@@ -295,18 +295,23 @@ fn others(x: &[f64], i: usize, bands: usize) -> impl Iterator<Item = &[f64]> {
     x[..i * bands].chunks_exact(bands).chain(x[(i + 1) * bands..].chunks_exact(bands))
 }
 
+/// What blocks: as bodies, for shadows, and as patches, for segments.
+struct Blockers {
+    bodies: Bodies,
+    tree: Bvh,
+}
+
 /// Fills `packed` with the unoccluded exchange, and returns the pairs that something may stand between.
 fn unoccluded(
-    scene: &Scene,
+    patches: &[Patch],
     accuracy: Accuracy,
-    blockers: &Bvh,
+    bodies: &Bodies,
     packed: &mut [f64],
     room: &Room,
     progress: &Progress,
 ) -> Result<Vec<Candidate>> {
-    let n = scene.len();
+    let n = patches.len();
     progress.expect(packed.len() as u64);
-    let patches: Vec<Patch> = (0..n).map(|i| Patch::new(scene.triangle(i))).collect();
     let mut rows = Vec::with_capacity(n);
     let mut rest = packed;
     for i in 0..n {
@@ -319,20 +324,23 @@ fn unoccluded(
         .into_par_iter()
         .rev()
         .map_init(Batch::new, |batch, (i, row)| {
-            let mut candidates = Vec::new();
             let pairs: Vec<[u32; 2]> = (0..i as u32).map(|j| [i as u32, j]).collect();
-            batch.exchange_pairs(&patches, &patches, &pairs, &accuracy, row);
-            for (j, g) in row.iter().enumerate() {
-                let ids = [i as u32, j as u32];
-                if *g > 0.0 && !blockers.shaft_is_empty(&patches[i].corners, &patches[j].corners, ids) {
-                    candidates.push(Candidate {
-                        i: i as u32,
-                        j: j as u32,
-                        cast: 0,
-                        planned: PILOT,
-                        visible: 1.0,
-                        standard_error: 0.0,
-                    });
+            batch.exchange_pairs(patches, patches, &pairs, &accuracy, row);
+            let mut candidates = Vec::new();
+            if !bodies.is_empty() {
+                for (j, _) in row.iter().enumerate().filter(|(_, g)| **g > 0.0) {
+                    let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
+                    if bodies.in_shaft(&shaft, 0).is_none() {
+                        let (i, j) = (i as u32, j as u32);
+                        candidates.push(Candidate {
+                            i,
+                            j,
+                            visible: 1.0,
+                            error: 1.0,
+                            wanted: f64::INFINITY,
+                            segments: 0,
+                        });
+                    }
                 }
             }
             progress.advance(i as u64)?;
@@ -346,56 +354,109 @@ fn unoccluded(
     Ok(found?.into_iter().flatten().collect())
 }
 
-/// Estimates the visible fraction of every candidate with segments to cast; returns how many were cast.
-fn sample(scene: &Scene, blockers: &Bvh, candidates: &mut [Candidate], seed: u64, progress: &Progress) -> Result<u64> {
-    let work: u64 = candidates.iter().map(|c| u64::from(c.planned)).sum();
-    progress.expect(work);
-    let end = |k: u32| End { patch: k, triangle: scene.triangle(k as usize), normal: scene.normals()[k as usize] };
-    candidates.par_chunks_mut(64).try_for_each(|chunk| {
+/// Brings the error of every candidate to what is wanted, as far as that can be; returns how many segments were cast.
+fn sample(
+    patches: &[Patch],
+    blockers: &Blockers,
+    candidates: &mut [Candidate],
+    seed: u64,
+    progress: &Progress,
+) -> Result<u64> {
+    progress.expect(candidates.iter().filter(|c| c.wanted > 0.0).count() as u64);
+    let cast = AtomicU64::new(0);
+    candidates.par_chunks_mut(64).try_for_each_init(Shadows::default, |shadows, chunk| {
         let mut done = 0;
-        for c in chunk.iter_mut().filter(|c| c.planned > 0) {
-            let v = visible_fraction(blockers, &end(c.i), &end(c.j), c.planned, seed);
-            (c.visible, c.standard_error) = (v.value, v.standard_error);
-            done += u64::from(c.planned);
-            (c.cast, c.planned) = (c.planned, 0);
+        for c in chunk.iter_mut().filter(|c| c.wanted > 0.0) {
+            let [a, b] = [c.i, c.j].map(|k| &patches[k as usize]);
+            let by_shadows = if c.segments > 0 { None } else { visible_by_shadows(shadows, blockers, c, a, b) };
+            if let Some(Visible { fraction, error }) = by_shadows {
+                (c.visible, c.error) = (fraction, error);
+            } else {
+                let segments = if c.segments == 0 {
+                    PILOT
+                } else {
+                    let more = (c.error / c.wanted).powf(1.0 / RATE);
+                    (f64::from(c.segments) * more).min(f64::from(MOST_SEGMENTS)).ceil() as u32
+                };
+                let end = |k: u32, p: &Patch| End { patch: k, triangle: p.corners, normal: p.normal };
+                let v = visible_fraction(&blockers.tree, &end(c.i, a), &end(c.j, b), segments, seed);
+                // Segments that all agree leave the expectation 1 / (m + 2) for the part that none of them met (Laplace's
+                // rule of succession): a thin bar is missed by few segments.
+                let error = if v.standard_error > 0.0 { v.standard_error } else { 1.0 / f64::from(segments + 2) };
+                (c.visible, c.error, c.segments) = (v.value, error, segments);
+                cast.fetch_add(u64::from(segments), Ordering::Relaxed);
+            }
+            c.wanted = 0.0;
+            done += 1;
         }
         progress.advance(done)
     })?;
-    Ok(work)
+    Ok(cast.into_inner())
 }
 
-/// For every row the sum over its sampled pairs of the error of F_ij.
+/// The visible fraction from shadows, where few bodies can stand between and the patches are outside of all.
+fn visible_by_shadows(
+    shadows: &mut Shadows,
+    blockers: &Blockers,
+    c: &Candidate,
+    a: &Patch,
+    b: &Patch,
+) -> Option<Visible> {
+    if blockers.bodies.entangled(c.i) || blockers.bodies.entangled(c.j) {
+        return None;
+    }
+    let bodies = blockers.bodies.in_shaft(&Shaft::new(&a.corners, &b.corners), MOST_BODIES)?;
+    shadows.visible(a, b, &bodies, c.wanted)
+}
+
+/// For every row the sum over its candidates of the error of F_ij.
 fn row_errors(areas: &[f64], exchange: &[f64], candidates: &[Candidate]) -> Vec<f64> {
     let mut errors = vec![0.0; areas.len()];
     for c in candidates {
         let (i, j) = (c.i as usize, c.j as usize);
-        let error = exchange[row_start(i) + j] * c.error();
+        let error = exchange[row_start(i) + j] * c.error;
         errors[i] += error / areas[i];
         errors[j] += error / areas[j];
     }
     errors
 }
 
-/// Sets the segments of the next round; false when no row is over the budget (or nothing more may be spent).
+/// Sets what is wanted in the next round; false when no row is over the budget, or nothing more may be spent.
 ///
-/// A row that is r times over its budget needs r^(1/RATE) times the segments on its partly visible pairs. Pairs whose
-/// segments all agreed count with an error of 1/(m + 2), so r times as many keep up.
-fn plan(candidates: &mut [Candidate], errors: &[f64], budget: f64) -> bool {
-    // A little more than needed: one more round would cost as much again.
-    const MARGIN: f64 = 1.2;
+/// The work of a pair grows when its error falls, whatever its size: the cheapest way to bring a row inside its budget is
+/// one limit for all errors in it, so high that the errors under it and the limit for all others add up to the budget.
+fn plan(candidates: &mut [Candidate], areas: &[f64], exchange: &[f64], budget: f64) -> bool {
+    // A little less than allowed: one more round would cost as much again.
+    const MARGIN: f64 = 0.85;
+    /// Each pass raises the limits towards the fixed point.
+    const PASSES: usize = 8;
+    let both = |c: &Candidate| {
+        let (i, j) = (c.i as usize, c.j as usize);
+        let g = exchange[row_start(i) + j];
+        [(i, g * c.error / areas[i]), (j, g * c.error / areas[j])]
+    };
+    let mut limits = vec![0.0; areas.len()];
+    for _ in 0..=PASSES {
+        let (mut under, mut over) = (vec![0.0; areas.len()], vec![0.0; areas.len()]);
+        for (row, error) in candidates.iter().flat_map(both) {
+            if error <= limits[row] { under[row] += error } else { over[row] += 1.0 }
+        }
+        for (row, limit) in limits.iter_mut().enumerate() {
+            *limit = if over[row] == 0.0 { f64::INFINITY } else { (MARGIN * budget - under[row]) / over[row] };
+        }
+    }
+    let errors = row_errors(areas, exchange, candidates);
     let mut more = false;
     for c in candidates {
-        let over = MARGIN * errors[c.i as usize].max(errors[c.j as usize]) / budget;
-        let factor = if over <= MARGIN {
-            0.0
-        } else if c.standard_error > 0.0 {
-            over.powf(1.0 / RATE)
-        } else {
-            over
-        };
-        let wanted = (f64::from(c.cast) * factor).min(f64::from(MOST_SEGMENTS)).ceil() as u32;
-        c.planned = if wanted > c.cast { wanted } else { 0 };
-        more |= c.planned > 0;
+        let g = exchange[row_start(c.i as usize) + c.j as usize];
+        let wanted = [c.i as usize, c.j as usize]
+            .into_iter()
+            .filter(|&row| errors[row] > budget)
+            .map(|row| limits[row] * areas[row] / g)
+            .fold(f64::INFINITY, f64::min);
+        let spent = c.segments >= MOST_SEGMENTS;
+        c.wanted = if c.error > wanted && !spent { wanted } else { 0.0 };
+        more |= c.wanted > 0.0;
     }
     more
 }

@@ -36,8 +36,14 @@ impl Patch {
         Patch { corners, normal, area, centre, radius }
     }
 
-    fn plane(&self) -> Plane {
+    /// Its plane.
+    pub fn plane(&self) -> Plane {
         Plane { normal: self.normal, point: self.corners[0] }
+    }
+
+    /// Mean of the corners.
+    pub fn centre(&self) -> Vec3 {
+        self.centre
     }
 
     /// The same as a polygon.

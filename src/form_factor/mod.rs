@@ -37,6 +37,7 @@ pub mod occluded;
 mod pieces;
 pub mod point_to_polygon;
 pub mod select;
+pub mod shadow;
 
 pub use batch::{Batch, Patch};
 pub use select::{Accuracy, Kernel};

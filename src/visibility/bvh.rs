@@ -147,13 +147,13 @@ impl Bvh {
 }
 
 /// Smallest and largest coordinates of the patches; vertices that no patch uses do not count.
-fn bounds(scene: &Scene) -> (Vec3, Vec3) {
+pub(super) fn bounds(scene: &Scene) -> (Vec3, Vec3) {
     let corners = scene.faces().iter().flatten().map(|&v| scene.vertices()[v as usize]);
     corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
 }
 
 /// The triangles of `patches`, each once, and for every patch the number of its triangle.
-fn distinct_triangles(scene: &Scene, patches: &[u32]) -> (Vec<Patches>, Vec<u32>) {
+pub(super) fn distinct_triangles(scene: &Scene, patches: &[u32]) -> (Vec<Patches>, Vec<u32>) {
     // Adding 0.0 makes -0.0 and 0.0 the same position.
     let position = |v: u32| scene.vertices()[v as usize].to_array().map(|x| (x + 0.0).to_bits());
     let corners = |i: u32| {

@@ -15,13 +15,14 @@
 //! The conversion to f32, the normalisation of coordinates and the self-hit rule live in this folder and nowhere else.
 
 mod block;
+pub mod bodies;
 mod build;
 mod bundle;
 pub mod bvh;
 mod intersect;
 mod own_surface;
 mod ray;
-mod shaft;
+pub mod shaft;
 mod sift;
 mod traverse;
 mod wide;

@@ -1,0 +1,479 @@
+//! The part of a polygon that convex bodies hide from a point, exactly; and its mean over another polygon.
+//!
+//! Seen from x, a convex body hides a cone of directions, whose sides are the planes through x and its silhouette. The cone of
+//! a polygon P is of the same kind. The form factor of x to what several cones have in common is Lambert's sum over the
+//! border of the intersection (see [`super::point_to_polygon`]), and that border is made of the edges of each cone as far as
+//! they run inside all the others: no intersection has to be built. Shadows that overlap are counted once by inclusion and
+//! exclusion:
+//!
+//!   H(x) = sum over S of F_x(P n S) - sum over S < T of F_x(P n S n T) + ...
+//!
+//! H is continuous in x, with kinks where a corner of a silhouette crosses an edge of P. Its mean over the other patch is
+//! taken by two triangle rules of different degree; where they differ most, the triangle is quartered, until the differences
+//! add up to what was asked. After Nishita & Nakamae 1985 (shadow volumes of convex polyhedra) and Walton 1987 (projected
+//! obstructions subtracted from the view).
+
+use std::borrow::Cow;
+use std::collections::BinaryHeap;
+
+use super::Patch;
+use super::point_to_polygon::edge_term;
+use crate::geometry::polygon::{Plane, clip_to_front};
+use crate::geometry::quadrature::{TrianglePoint, TriangleRule};
+use crate::geometry::{Triangle, Vec3};
+use crate::simd::double::{Double, LANES, Vectors};
+use crate::simd::{Instructions, Machine, for_every_machine};
+use crate::visibility::bodies::{Body, Edge};
+
+/// The rule that counts, and the one that it is compared with.
+const RULES: [TriangleRule; 2] = [TriangleRule::P12, TriangleRule::P6];
+/// Triangles that one patch may be cut into.
+const MOST_CELLS: usize = 16_384;
+/// Intersections of shadows that are looked at from one point before rays are the better answer.
+const MOST_OVERLAPS: usize = 64;
+/// The sine of an angle that counts as none: an edge so near to a plane through x lies in it.
+const FLAT: f64 = 1e-11;
+/// What may hide in a triangle of which every point sees all or nothing: the corners beyond the outermost points, about
+/// 1 % of it, and there a rising part of the view.
+const UNSEEN: f64 = 2e-4;
+
+/// The fraction of the exchange of a pair that is visible, and an estimate of its error.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Visible {
+    /// V, in [0, 1].
+    pub fraction: f64,
+    /// Estimated error of V.
+    pub error: f64,
+}
+
+/// Memory reused from pair to pair.
+pub struct Shadows {
+    instructions: Instructions,
+    cones: Vec<Cone>,
+    sides: Vec<Side>,
+    faces: Vec<bool>,
+    terms: Vec<Term>,
+    sums: Vec<f64>,
+    members: Vec<usize>,
+    overlaps: usize,
+}
+
+/// A convex cone with its apex in the point that looks: some of the sides, in turn.
+#[derive(Debug, Clone, Copy)]
+struct Cone {
+    first: usize,
+    end: usize,
+}
+
+/// A side of a cone: the triangle between the apex and an edge, which runs counter-clockwise around the cone.
+#[derive(Debug, Clone, Copy)]
+struct Side {
+    r0: Vec3,
+    r1: Vec3,
+    /// Points into the cone.
+    inward: Vec3,
+    /// FLAT x its length.
+    flat: f64,
+    /// Lengths of r0 and r1.
+    lengths: [f64; 2],
+}
+
+/// A part of an edge, to be summed.
+#[derive(Debug, Clone, Copy)]
+struct Term {
+    r0: Vec3,
+    r1: Vec3,
+    weight: f64,
+    slot: u32,
+}
+
+/// A triangle of the patch that looks, with what its points see.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    triangle: Triangle,
+    hidden: f64,
+    all: f64,
+    error: f64,
+}
+
+impl PartialEq for Cell {
+    fn eq(&self, other: &Cell) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Cell {}
+
+impl PartialOrd for Cell {
+    fn partial_cmp(&self, other: &Cell) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Cell {
+    fn cmp(&self, other: &Cell) -> std::cmp::Ordering {
+        self.error.total_cmp(&other.error)
+    }
+}
+
+impl Default for Shadows {
+    fn default() -> Shadows {
+        Shadows {
+            instructions: Instructions::best(),
+            cones: Vec::new(),
+            sides: Vec::new(),
+            faces: Vec::new(),
+            terms: Vec::new(),
+            sums: Vec::new(),
+            members: Vec::new(),
+            overlaps: 0,
+        }
+    }
+}
+
+impl Shadows {
+    /// What `bodies` leave of the exchange of two patches, to an error of `wanted` as far as [`MOST_CELLS`] triangles
+    /// allow. No point of the patches may lie inside a body. `None` when too many shadows overlap.
+    pub fn visible(&mut self, a: &Patch, b: &Patch, bodies: &[&Body], wanted: f64) -> Option<Visible> {
+        let all = Some(Visible { fraction: 1.0, error: 0.0 });
+        let solids: Vec<Cow<Body>> = bodies.iter().filter_map(|body| between(body, [&a.plane(), &b.plane()])).collect();
+        if solids.is_empty() {
+            return all;
+        }
+        let (from, to) = if looks(a, b, &solids) { (a, b) } else { (b, a) };
+        let (mut source, mut target) = (Vec::new(), Vec::new());
+        clip_to_front(&from.corners, &to.plane(), &mut source);
+        clip_to_front(&to.corners, &from.plane(), &mut target);
+        if source.len() < 3 || target.len() < 3 {
+            return all;
+        }
+        let fan: Vec<Triangle> = (2..source.len()).map(|k| [source[0], source[k - 1], source[k]]).collect();
+        let mut cells: BinaryHeap<Cell> = self.look(&fan, from.normal, &target, &solids)?.into();
+        let total: f64 = cells.iter().map(|cell| cell.all).sum();
+        if !(total > 0.0) {
+            return all;
+        }
+        let mut error: f64 = cells.iter().map(|cell| cell.error).sum();
+        while error > wanted * total && cells.len() < MOST_CELLS {
+            let Some(worst) = cells.pop() else { break };
+            let [p, q, r] = worst.triangle;
+            let [pq, qr, rp] = [0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + p)];
+            let quarters = [[p, pq, rp], [pq, q, qr], [rp, qr, r], [pq, qr, rp]];
+            cells.extend(self.look(&quarters, from.normal, &target, &solids)?);
+            // Summed anew: differences would leave their rounding behind.
+            error = cells.iter().map(|cell| cell.error).sum();
+        }
+        let cells = cells.into_sorted_vec();
+        let (hidden, all) = cells.iter().fold((0.0, 0.0), |(hidden, all), c| (hidden + c.hidden, all + c.all));
+        Some(Visible { fraction: (1.0 - hidden / all).clamp(0.0, 1.0), error: error / all })
+    }
+
+    /// What the points of each triangle see of the target, and what is hidden.
+    fn look(
+        &mut self,
+        triangles: &[Triangle],
+        normal: Vec3,
+        target: &[Vec3],
+        solids: &[Cow<Body>],
+    ) -> Option<Vec<Cell>> {
+        self.terms.clear();
+        self.sums.clear();
+        self.sums.resize(triangles.len() * 2 * RULES.len(), 0.0);
+        // Of every triangle: whether a point saw something hidden, and whether one saw something at all.
+        let mut mixed = vec![[false; 2]; triangles.len()];
+        for (k, triangle) in triangles.iter().enumerate() {
+            let area = 0.5 * (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]).length();
+            for (r, rule) in RULES.iter().enumerate() {
+                let slot = (2 * (k * RULES.len() + r)) as u32;
+                for TrianglePoint { barycentric: [u, v, w], weight } in rule.points() {
+                    let x = *u * triangle[0] + *v * triangle[1] + *w * triangle[2];
+                    let [hides, shows] = self.look_from(x, target, solids, weight * area, slot)?;
+                    mixed[k][0] |= hides;
+                    mixed[k][1] |= shows;
+                }
+            }
+        }
+        sum_terms(self.instructions, &self.terms, normal, &mut self.sums);
+        let sums = self.sums.chunks_exact(2 * RULES.len());
+        let cells = triangles.iter().zip(sums).zip(mixed).map(|((&triangle, sums), [hides, shows])| {
+            let (hidden, all) = (sums[1], sums[0]);
+            let (coarse_hidden, coarse_all) = (sums[3], sums[2]);
+            // As fractions: where the view itself changes fast, both change together.
+            let coarse = if coarse_all > 0.0 { coarse_hidden * (all / coarse_all) } else { 0.0 };
+            let error = if hides && shows { (hidden - coarse).abs() } else { UNSEEN * all.abs() };
+            Cell { triangle, hidden, all, error }
+        });
+        Some(cells.collect())
+    }
+
+    /// Adds what x sees to `slot` and what is hidden of it to the next; tells whether anything is hidden, and whether
+    /// anything is not.
+    fn look_from(
+        &mut self,
+        x: Vec3,
+        target: &[Vec3],
+        solids: &[Cow<Body>],
+        weight: f64,
+        slot: u32,
+    ) -> Option<[bool; 2]> {
+        self.cones.clear();
+        self.sides.clear();
+        for k in 0..target.len() {
+            self.push_side(target[k] - x, target[(k + 1) % target.len()] - x);
+        }
+        self.cones.push(Cone { first: 0, end: self.sides.len() });
+        for side in &self.sides {
+            self.terms.push(Term { r0: side.r0, r1: side.r1, weight, slot });
+        }
+        let hidden_from = self.terms.len();
+        for solid in solids {
+            let first = self.sides.len();
+            if !self.push_silhouette(x, solid) {
+                self.hide_all(weight, slot + 1);
+                return Some([true, false]);
+            }
+            if self.sides.len() > first {
+                self.cones.push(Cone { first, end: self.sides.len() });
+            }
+        }
+        self.overlaps = 0;
+        self.members.clear();
+        self.members.push(0);
+        for k in 1..self.cones.len() {
+            if self.overlap(k, weight, slot + 1)? {
+                // Nothing is left to be hidden by others.
+                self.terms.truncate(hidden_from);
+                self.hide_all(weight, slot + 1);
+                return Some([true, false]);
+            }
+        }
+        Some([self.terms.len() > hidden_from, true])
+    }
+
+    fn hide_all(&mut self, weight: f64, slot: u32) {
+        for k in 0..self.cones[0].end {
+            let Side { r0, r1, .. } = self.sides[k];
+            self.terms.push(Term { r0, r1, weight, slot });
+        }
+    }
+
+    fn push_side(&mut self, r0: Vec3, r1: Vec3) {
+        let inward = r1.cross(r0);
+        self.sides.push(Side { r0, r1, inward, flat: FLAT * inward.length(), lengths: [r0.length(), r1.length()] });
+    }
+
+    /// Adds the sides of a body's shadow: none for a sheet seen edge on. False when x lies inside the body, or on its border
+    /// and looks into it.
+    fn push_silhouette(&mut self, x: Vec3, body: &Body) -> bool {
+        let slack = slack(body);
+        self.faces.clear();
+        self.faces.extend(body.faces.iter().map(|face| face.distance(x) > slack));
+        if !self.faces.contains(&true) {
+            return is_sheet(body);
+        }
+        if is_sheet(body) && !self.faces[0] && !self.faces[1] {
+            return true;
+        }
+        for edge in &body.edges {
+            match [self.faces[edge.left as usize], self.faces[edge.right as usize]] {
+                [true, false] => self.push_side(edge.start - x, edge.end - x),
+                [false, true] => self.push_side(edge.end - x, edge.start - x),
+                _ => {}
+            }
+        }
+        true
+    }
+
+    /// Adds what cone k has in common with the members, and with every further cone; tells whether it covers the first
+    /// member, the target, all by itself.
+    fn overlap(&mut self, k: usize, weight: f64, slot: u32) -> Option<bool> {
+        self.overlaps += 1;
+        if self.overlaps > MOST_OVERLAPS {
+            return None;
+        }
+        self.members.push(k);
+        let before = self.terms.len();
+        let whole = self.push_border(weight, slot);
+        let alone = self.members.len() == 2;
+        if self.terms.len() > before && !(alone && whole) {
+            for next in k + 1..self.cones.len() {
+                self.overlap(next, -weight, slot)?;
+            }
+        }
+        self.members.pop();
+        Some(alone && whole)
+    }
+
+    /// Adds the border of what the members have in common: of every edge the part inside all other cones. Tells whether that
+    /// is the first member as a whole.
+    fn push_border(&mut self, weight: f64, slot: u32) -> bool {
+        let mut whole = true;
+        for (m, &member) in self.members.iter().enumerate() {
+            let Cone { first, end } = self.cones[member];
+            for k in first..end {
+                let side = self.sides[k];
+                let (mut low, mut high) = (0.0f64, 1.0f64);
+                for (o, &other) in self.members.iter().enumerate().filter(|(o, _)| *o != m) {
+                    let Cone { first, end } = self.cones[other];
+                    for plane in &self.sides[first..end] {
+                        let snapped = |r: Vec3, length: f64| {
+                            let f = plane.inward.dot(r);
+                            if f.abs() <= plane.flat * length { 0.0 } else { f }
+                        };
+                        let (f0, f1) = (snapped(side.r0, side.lengths[0]), snapped(side.r1, side.lengths[1]));
+                        if f0 > 0.0 && f1 > 0.0 {
+                            continue;
+                        }
+                        if f0 == 0.0 && f1 == 0.0 {
+                            // The edge runs along a side of the other cone: it is counted once if both lie on the same
+                            // side of it, else there is nothing between them.
+                            if m > o || side.inward.dot(plane.inward) < 0.0 {
+                                low = 1.0;
+                            }
+                        } else if f0 <= 0.0 && f1 <= 0.0 {
+                            low = 1.0;
+                        } else if f0 < f1 {
+                            low = low.max(f0 / (f0 - f1));
+                        } else {
+                            high = high.min(f0 / (f0 - f1));
+                        }
+                        if low >= high {
+                            break;
+                        }
+                    }
+                    if low >= high {
+                        break;
+                    }
+                }
+                if m == 0 {
+                    whole &= low == 0.0 && high == 1.0;
+                }
+                if low < high {
+                    let way = side.r1 - side.r0;
+                    let r0 = if low > 0.0 { side.r0 + low * way } else { side.r0 };
+                    let r1 = if high < 1.0 { side.r0 + high * way } else { side.r1 };
+                    self.terms.push(Term { r0, r1, weight, slot });
+                }
+            }
+        }
+        whole
+    }
+}
+
+/// A length that counts as none beside a body.
+fn slack(body: &Body) -> f64 {
+    let size = (body.high - body.low).max_element();
+    1e-10 * size + 64.0 * f64::EPSILON * body.high.abs().max(body.low.abs()).max_element()
+}
+
+fn is_sheet(body: &Body) -> bool {
+    body.faces.len() > 1 && body.faces[0].normal == -body.faces[1].normal && body.faces[0].point == body.faces[1].point
+}
+
+/// Whether `a` should look at `b` rather than `b` at `a`: the patch that is smaller as seen from the nearest body, since the
+/// shadows change the less as the point moves.
+fn looks(a: &Patch, b: &Patch, solids: &[Cow<Body>]) -> bool {
+    let angle = |patch: &Patch| {
+        let nearest = solids
+            .iter()
+            .map(|body| patch.centre().clamp(body.low, body.high).distance_squared(patch.centre()))
+            .fold(f64::INFINITY, f64::min);
+        patch.area / nearest
+    };
+    // Not a number where both touch: then the first looks.
+    !(angle(a) > angle(b))
+}
+
+/// The part of a body in front of both planes, or none.
+fn between<'a>(body: &'a Body, planes: [&Plane; 2]) -> Option<Cow<'a, Body>> {
+    let mut kept = Cow::Borrowed(body);
+    for plane in planes {
+        let cut = in_front(&kept, plane)?;
+        if let Some(cut) = cut {
+            kept = Cow::Owned(cut);
+        }
+    }
+    Some(kept)
+}
+
+/// `None` when nothing of the body lies in front of the plane, `Some(None)` when all of it does, else the part that does:
+/// edges are cut, and each face that the plane cuts gets an edge along the cut.
+fn in_front(body: &Body, plane: &Plane) -> Option<Option<Body>> {
+    let slack = slack(body);
+    let snapped = |x: Vec3| {
+        let d = plane.distance(x);
+        if d.abs() <= slack { 0.0 } else { d }
+    };
+    let (mut before, mut behind) = (false, false);
+    for edge in &body.edges {
+        for d in [snapped(edge.start), snapped(edge.end)] {
+            before |= d > 0.0;
+            behind |= d < 0.0;
+        }
+    }
+    if !before {
+        return None;
+    }
+    if !behind {
+        return Some(None);
+    }
+    let mut edges = Vec::with_capacity(body.edges.len() + 2);
+    // Where the cut enters and leaves each face, and whether the face has something in front.
+    let mut cuts: Vec<([Option<Vec3>; 2], bool)> = vec![([None; 2], false); body.faces.len()];
+    for edge in &body.edges {
+        let (d0, d1) = (snapped(edge.start), snapped(edge.end));
+        let crossing = (d0 * d1 < 0.0).then(|| edge.start + d0 / (d0 - d1) * (edge.end - edge.start));
+        for face in [edge.left, edge.right] {
+            let (points, front) = &mut cuts[face as usize];
+            *front |= d0 > 0.0 || d1 > 0.0;
+            let on_plane = [crossing, (d0 == 0.0).then_some(edge.start), (d1 == 0.0).then_some(edge.end)];
+            for point in on_plane.into_iter().flatten() {
+                match points {
+                    [None, _] => points[0] = Some(point),
+                    [Some(first), None] if *first != point => points[1] = Some(point),
+                    _ => {}
+                }
+            }
+        }
+        match crossing {
+            Some(point) if d0 > 0.0 => edges.push(Edge { end: point, ..*edge }),
+            Some(point) => edges.push(Edge { start: point, ..*edge }),
+            None if d0 > 0.0 || d1 > 0.0 => edges.push(*edge),
+            None => {}
+        }
+    }
+    let cap = body.faces.len() as u32;
+    for (k, (points, front)) in cuts.into_iter().enumerate() {
+        if let ([Some(p), Some(q)], true) = (points, front) {
+            // The face lies to the left of its edges, in front of the plane.
+            let forward = plane.normal.dot(body.faces[k].normal.cross(q - p)) > 0.0;
+            let (start, end) = if forward { (p, q) } else { (q, p) };
+            edges.push(Edge { start, end, left: k as u32, right: cap });
+        }
+    }
+    let mut faces = body.faces.clone();
+    faces.push(Plane { normal: -plane.normal, point: plane.point });
+    let corners = || edges.iter().flat_map(|edge| [edge.start, edge.end]);
+    let (low, high) = (corners().fold(Vec3::INFINITY, Vec3::min), corners().fold(Vec3::NEG_INFINITY, Vec3::max));
+    Some(Some(Body { faces, edges, low, high }))
+}
+
+#[inline(always)]
+fn sum_kernel<M: Machine>(terms: &[Term], normal: Vec3, sums: &mut [f64]) {
+    let normal = Vectors::<M::Double>::splat(normal);
+    for group in terms.chunks(LANES) {
+        let (mut starts, mut ends, mut weights) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3], [0.0; LANES]);
+        for (lane, term) in group.iter().enumerate() {
+            (starts[0][lane], starts[1][lane], starts[2][lane]) = (term.r0.x, term.r0.y, term.r0.z);
+            (ends[0][lane], ends[1][lane], ends[2][lane]) = (term.r1.x, term.r1.y, term.r1.z);
+            weights[lane] = term.weight;
+        }
+        let term = edge_term(Vectors::load(&starts), Vectors::load(&ends), normal);
+        let parts = (term * M::Double::load(&weights)).to_array();
+        for (lane, term) in group.iter().enumerate() {
+            sums[term.slot as usize] += parts[lane];
+        }
+    }
+}
+
+for_every_machine! { fn sum_terms(terms: &[Term], normal: Vec3, sums: &mut [f64]) -> () = sum_kernel }

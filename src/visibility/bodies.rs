@@ -1,0 +1,977 @@
+//! The patches of a scene as few convex bodies: what casts shadows, seen as a whole.
+//!
+//! The shadow of a convex body, seen from a point x outside it, is one convex cone; its sides are the planes through x and the
+//! body's silhouette, the edges between a face that x lies before and one that it does not (Coorg & Teller 1997, "Real-time
+//! occlusion culling for models with large occluders"). A box is one such cone instead of twelve shadows of triangles.
+//!
+//! - Triangles that lie in one plane and share edges make regions. A region whose border is convex is one polygon; any other
+//!   is cut along edges of its triangles, of which as many are left out as convexity allows (Hertel & Mehlhorn 1983, "Fast
+//!   triangulation of simple polygons").
+//! - Polygons joined by convex edges make shells. A shell is a solid when it is the whole border of a convex body, or lacks
+//!   one plane face only, like a box without a bottom that stands on a floor: a segment crosses a plane once, so one that
+//!   enters through the opening must leave through the shell.
+//! - Every other polygon is a sheet: a solid of two faces and no thickness.
+//!
+//! Positions are compared exactly. What is told by measuring is told at the tolerances below, relative to the size of what is
+//! measured, or at the rounding of the coordinates where that is more.
+
+use std::collections::{HashMap, HashSet};
+
+use super::bvh::{bounds, distinct_triangles};
+use super::shaft::Shaft;
+use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
+use crate::geometry::{Triangle, Vec3};
+use crate::scene::Scene;
+
+/// A distance that counts as none within a region of triangles or along a straight border.
+const FLAT: f64 = 1e-10;
+
+/// A distance that counts as none beside a solid; also the sine of an angle that counts as none between two polygons.
+const TOUCH: f64 = 1e-9;
+
+/// A body thinner than this, relative to its size, is taken as sheets: its inside cannot be told well from its border.
+const THIN: f64 = 1e-7;
+
+/// The most faces that a solid may have. What is rounder is cheaper to ask by rays.
+const MOST_FACES: usize = 4096;
+
+/// An edge that more polygons share than this joins none of them: to pair them all would be quadratic.
+const MOST_AT_AN_EDGE: usize = 64;
+
+/// The most boxes in a leaf of a [`Tree`].
+const LEAF: usize = 16;
+
+/// No side, region or polygon.
+const NONE: u32 = u32::MAX;
+
+/// A convex body that blocks light: a solid, or a flat sheet as a solid of two faces.
+#[derive(Debug, Clone)]
+pub struct Body {
+    /// Planes whose normals point out of the body. Of a sheet: the plane of its front, then the same from behind.
+    pub faces: Vec<Plane>,
+    /// Every edge once.
+    pub edges: Vec<Edge>,
+    /// The smallest coordinates.
+    pub low: Vec3,
+    /// The largest coordinates.
+    pub high: Vec3,
+}
+
+/// Where two faces of a body meet.
+#[derive(Debug, Clone, Copy)]
+pub struct Edge {
+    /// Where the left face's border, counter-clockwise seen from outside, enters the edge.
+    pub start: Vec3,
+    /// Where it leaves the edge.
+    pub end: Vec3,
+    /// The face that has the edge from `start` to `end`.
+    pub left: u32,
+    /// The face that has the edge from `end` to `start`.
+    pub right: u32,
+}
+
+/// The bodies of a scene that can stand between two of its patches.
+#[derive(Debug, Clone)]
+pub struct Bodies {
+    /// Solids and sheets, which may overlap where the patches of the scene do.
+    pub bodies: Vec<Body>,
+    entangled: Vec<bool>,
+    tree: Tree,
+}
+
+impl Bodies {
+    /// The bodies that the patches of a scene make up. What lies on the convex hull of the scene is left out, as it is from
+    /// [`Bvh::of_blockers`](super::Bvh::of_blockers).
+    pub fn of_scene(scene: &Scene) -> Bodies {
+        let mesh = Mesh::new(scene);
+        let (polygons, polygon_of) = mesh.polygons();
+        let shells = Shells::new(&mesh, &polygons);
+        let hull = Hull::new(scene);
+        let patches = Tree::new((0..scene.len() as u32).map(|i| (i, extremes(scene.triangle(i as usize)))).collect());
+        let shell_of_patch = |i: u32| shells.shell_of[polygon_of[mesh.numbers[i as usize] as usize] as usize];
+
+        let (mut bodies, mut entangled) = (Vec::new(), vec![false; scene.len()]);
+        let mut sheets = HashSet::new();
+        for (number, shell) in shells.shells.iter().enumerate() {
+            let solid = shells.solid(shell).filter(|solid| {
+                let others = Others { scene, patches: &patches, is_own: |i| shell_of_patch(i) == number as u32 };
+                let can_block = solid.body.faces.iter().any(|plane| hull.has_both_sides(plane));
+                let Some(inside) = others.around(solid) else { return false };
+                if can_block {
+                    inside.iter().for_each(|&i| entangled[i as usize] = true);
+                    bodies.push(solid.body.clone());
+                }
+                true
+            });
+            if solid.is_some() {
+                continue;
+            }
+            for &p in shell {
+                let polygon = &polygons[p as usize];
+                let mut key = polygon.ring.clone();
+                key.sort_unstable();
+                // Two polygons with the same corners are the two sides of one sheet.
+                if hull.has_both_sides(&polygon.plane) && sheets.insert(key) {
+                    bodies.push(mesh.sheet(polygon));
+                }
+            }
+        }
+        let boxes =
+            bodies.iter().enumerate().map(|(k, body): (usize, &Body)| (k as u32, (body.low, body.high))).collect();
+        Bodies { bodies, entangled, tree: Tree::new(boxes) }
+    }
+
+    /// The bodies that may reach into a shaft, in their order, up to `most`; `None` when there are more.
+    pub fn in_shaft(&self, shaft: &Shaft, most: usize) -> Option<Vec<&Body>> {
+        let mut found: Vec<u32> = Vec::new();
+        let mut full = false;
+        self.tree.walk(|node| {
+            let opens = !full && shaft.may_meet_box(node.low, node.high);
+            for (k, (low, high)) in self.tree.items[node.items.clone()].iter().filter(|_| opens) {
+                if !full && shaft.may_meet_box(*low, *high) && shaft.may_hold(&self.bodies[*k as usize]) {
+                    full = found.len() == most;
+                    found.push(*k);
+                }
+            }
+            opens
+        });
+        found.sort_unstable();
+        (!full).then(|| found.into_iter().map(|k| &self.bodies[k as usize]).collect())
+    }
+
+    /// Whether nothing can block.
+    pub fn is_empty(&self) -> bool {
+        self.bodies.is_empty()
+    }
+
+    /// Whether a patch reaches into the inside of a solid. Its points may lie inside a body, whose shadow is then no cone.
+    pub fn entangled(&self, patch: u32) -> bool {
+        self.entangled[patch as usize]
+    }
+}
+
+/// The distinct triangles of a scene. Side 3 t + e of triangle t runs from its corner e to the next one.
+struct Mesh<'a> {
+    scene: &'a Scene,
+    /// Corners: of the vertices at one position the first.
+    triangles: Vec<[u32; 3]>,
+    /// The patch whose front is the front of the triangle.
+    patches: Vec<u32>,
+    /// Whether another patch is the same triangle from behind.
+    twinned: Vec<bool>,
+    /// The triangle of every patch.
+    numbers: Vec<u32>,
+    /// What rounding may have moved a coordinate by.
+    grain: f64,
+}
+
+/// A planar convex polygon that stands for triangles of a scene.
+struct Polygon {
+    /// Vertices of the scene, none between its neighbours on a straight line.
+    ring: Vec<u32>,
+    plane: Plane,
+    /// Whether any of it is a patch from behind too.
+    twinned: bool,
+}
+
+/// A triangle's plane, and how well it is known.
+struct Flat {
+    plane: Plane,
+    longest: f64,
+    height: f64,
+    grain: f64,
+}
+
+impl Flat {
+    /// Whether `x` lies in the plane. The further from the triangle, the less rounding lets one tell.
+    fn holds(&self, x: Vec3) -> bool {
+        let reach = x.distance(self.plane.point);
+        let slack = FLAT * reach.max(self.longest) + 8.0 * self.grain * (1.0 + reach / self.height);
+        self.plane.distance(x).abs() <= slack
+    }
+}
+
+impl Mesh<'_> {
+    fn new(scene: &Scene) -> Mesh<'_> {
+        let all: Vec<u32> = (0..scene.len() as u32).collect();
+        let (distinct, numbers) = distinct_triangles(scene, &all);
+        let patches: Vec<u32> = distinct.iter().map(|p| p.front).collect();
+        let mut twinned = vec![false; patches.len()];
+        for (&i, &t) in all.iter().zip(&numbers) {
+            let front = scene.normals()[patches[t as usize] as usize];
+            twinned[t as usize] |= scene.normals()[i as usize].dot(front) < 0.0;
+        }
+        // Adding 0.0 makes -0.0 and 0.0 the same position.
+        let mut first = HashMap::with_capacity(scene.vertices().len());
+        let positions = scene.vertices().iter().enumerate();
+        let joined: Vec<u32> = positions
+            .map(|(v, x)| *first.entry(x.to_array().map(|x| (x + 0.0).to_bits())).or_insert(v as u32))
+            .collect();
+        let triangles = patches.iter().map(|&i| scene.faces()[i as usize].map(|v| joined[v as usize])).collect();
+        let (low, high) = bounds(scene);
+        let grain = f64::EPSILON * low.abs().max(high.abs()).max_element();
+        Mesh { scene, triangles, patches, twinned, numbers, grain }
+    }
+
+    fn at(&self, v: u32) -> Vec3 {
+        self.scene.vertices()[v as usize]
+    }
+
+    fn start(&self, side: u32) -> u32 {
+        self.triangles[side as usize / 3][side as usize % 3]
+    }
+
+    fn end(&self, side: u32) -> u32 {
+        self.triangles[side as usize / 3][(side as usize + 1) % 3]
+    }
+
+    fn corners(&self, t: u32) -> Triangle {
+        self.triangles[t as usize].map(|v| self.at(v))
+    }
+
+    fn normal(&self, t: u32) -> Vec3 {
+        self.scene.normals()[self.patches[t as usize] as usize]
+    }
+
+    fn area(&self, t: u32) -> f64 {
+        self.scene.areas()[self.patches[t as usize] as usize]
+    }
+
+    fn flat(&self, t: u32) -> Flat {
+        let [a, b, c] = self.corners(t);
+        let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+        let plane = Plane { normal: self.normal(t), point: a };
+        Flat { plane, longest, height: 2.0 * self.area(t) / longest, grain: self.grain }
+    }
+
+    /// Whether two triangles that share an edge lie in one plane and face the same way. Of the two planes the one counts that
+    /// is known better.
+    fn lie_flat(&self, s: u32, t: u32) -> bool {
+        if !(self.normal(s).dot(self.normal(t)) > 0.0) {
+            return false;
+        }
+        let (of_s, of_t) = (self.flat(s), self.flat(t));
+        let (flat, other) = if of_s.height >= of_t.height { (of_s, t) } else { (of_t, s) };
+        self.corners(other).iter().all(|x| flat.holds(*x))
+    }
+
+    /// For every side of a triangle the same edge as a side of a neighbour in the same plane.
+    fn flat_neighbours(&self) -> Vec<u32> {
+        let count = 3 * self.triangles.len() as u32;
+        let mut sides: Vec<[u32; 3]> = (0..count)
+            .map(|h| {
+                let (a, b) = (self.start(h), self.end(h));
+                [a.min(b), a.max(b), h]
+            })
+            .collect();
+        sides.sort_unstable();
+        let mut twin = vec![NONE; count as usize];
+        for group in sides.chunk_by(|p, q| p[..2] == q[..2]).filter(|group| group.len() <= MOST_AT_AN_EDGE) {
+            for &[low, _, h] in group.iter().filter(|side| self.start(side[2]) == side[0]) {
+                let across = group
+                    .iter()
+                    .map(|side| side[2])
+                    .find(|&g| self.start(g) != low && twin[g as usize] == NONE && self.lie_flat(h / 3, g / 3));
+                if let Some(g) = across {
+                    twin[h as usize] = g;
+                    twin[g as usize] = h;
+                }
+            }
+        }
+        twin
+    }
+
+    /// The triangles merged to convex polygons, and for each triangle the polygon that it went into.
+    fn polygons(&self) -> (Vec<Polygon>, Vec<u32>) {
+        let count = self.triangles.len();
+        let mut cut = Cutter {
+            mesh: self,
+            twin: self.flat_neighbours(),
+            next: (0..3 * count as u32).map(|h| if h % 3 == 2 { h - 2 } else { h + 1 }).collect(),
+            previous: (0..3 * count as u32).map(|h| if h % 3 == 0 { h + 2 } else { h - 1 }).collect(),
+            leaving: vec![NONE; self.scene.vertices().len()],
+            polygons: Vec::new(),
+            polygon_of: vec![NONE; count],
+        };
+        // The plane of a region is that of its largest triangle.
+        let mut seeds: Vec<u32> = (0..count as u32).collect();
+        seeds.sort_by(|&s, &t| self.area(t).total_cmp(&self.area(s)));
+        let mut region_of = vec![NONE; count];
+        for seed in seeds {
+            if region_of[seed as usize] != NONE {
+                continue;
+            }
+            region_of[seed as usize] = seed;
+            let flat = self.flat(seed);
+            let mut region = vec![seed];
+            let mut k = 0;
+            while k < region.len() {
+                for h in sides(region[k]) {
+                    let t = cut.twin[h as usize] / 3;
+                    let is_new = cut.twin[h as usize] != NONE && region_of[t as usize] == NONE;
+                    if is_new && self.corners(t).iter().all(|x| flat.holds(*x)) {
+                        region_of[t as usize] = seed;
+                        region.push(t);
+                    }
+                }
+                k += 1;
+            }
+            for h in region.iter().flat_map(|&t| sides(t)) {
+                let across = cut.twin[h as usize];
+                if across != NONE && region_of[across as usize / 3] != seed {
+                    cut.twin[h as usize] = NONE;
+                }
+            }
+            cut.region(&region);
+        }
+        (cut.polygons, cut.polygon_of)
+    }
+
+    fn sheet(&self, polygon: &Polygon) -> Body {
+        let ring = &polygon.ring;
+        let edges = (0..ring.len()).map(|k| {
+            let (start, end) = (self.at(ring[k]), self.at(ring[(k + 1) % ring.len()]));
+            Edge { start, end, left: 0, right: 1 }
+        });
+        let (low, high) = extremes(ring.iter().map(|&v| self.at(v)));
+        let front = polygon.plane;
+        let back = Plane { normal: -front.normal, point: front.point };
+        Body { faces: vec![front, back], edges: edges.collect(), low, high }
+    }
+
+    /// A ring without the vertices that lie on a straight line between their neighbours.
+    fn straightened(&self, ring: &[u32]) -> Vec<u32> {
+        let n = ring.len();
+        let origin = self.at(ring[0]);
+        let distance = |k: &usize| self.at(ring[*k]).distance_squared(origin);
+        // What lies furthest from another point of the border is surely a corner.
+        let first = (0..n).max_by(|j, k| distance(j).total_cmp(&distance(k))).unwrap_or(0);
+        let mut kept = vec![ring[first]];
+        for k in 1..n {
+            let (v, next) = (ring[(first + k) % n], ring[(first + k + 1) % n]);
+            let (x, from, to) = (self.at(v), self.at(kept[kept.len() - 1]), self.at(next));
+            let length = to.distance(from);
+            let off = (x - from).cross(to - from).length();
+            let is_straight = off <= (FLAT * length + 8.0 * self.grain) * length;
+            if !(is_straight && (x - from).dot(to - x) > 0.0) {
+                kept.push(v);
+            }
+        }
+        kept
+    }
+
+    /// Whether a straightened ring turns left at every vertex, once around in all.
+    fn is_convex(&self, ring: &[u32], normal: Vec3) -> bool {
+        let n = ring.len();
+        let step = |k: usize| self.at(ring[(k + 1) % n]) - self.at(ring[k % n]);
+        let turns_left = (0..n).all(|k| step(k).cross(step(k + 1)).dot(normal) > 0.0);
+        let turned = || (0..n).map(|k| step(k).angle_between(step(k + 1))).sum::<f64>();
+        n >= 3 && turns_left && turned() < 1.5 * std::f64::consts::TAU
+    }
+}
+
+/// The three sides of a triangle.
+fn sides(t: u32) -> [u32; 3] {
+    [3 * t, 3 * t + 1, 3 * t + 2]
+}
+
+/// Smallest and largest coordinates.
+fn extremes(points: impl IntoIterator<Item = Vec3>) -> (Vec3, Vec3) {
+    points.into_iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
+}
+
+/// Cuts regions of triangles into convex polygons: the sides of triangles as a doubly linked list around every piece.
+struct Cutter<'a> {
+    mesh: &'a Mesh<'a>,
+    /// The same edge as a side of the neighbour; none at the border of a region.
+    twin: Vec<u32>,
+    next: Vec<u32>,
+    previous: Vec<u32>,
+    /// Scratch: the side of the border that starts at a vertex.
+    leaving: Vec<u32>,
+    polygons: Vec<Polygon>,
+    polygon_of: Vec<u32>,
+}
+
+impl Cutter<'_> {
+    /// Adds the polygons of one region; its first triangle is the largest.
+    fn region(&mut self, region: &[u32]) {
+        let normal = self.mesh.normal(region[0]);
+        if let Some(ring) = self.border(region) {
+            let ring = self.mesh.straightened(&ring);
+            // A flat patchwork whose border is convex and turns once covers the inside of it once.
+            if self.mesh.is_convex(&ring, normal) {
+                return self.push(ring, region);
+            }
+        }
+        self.merge(region, normal);
+        // Pieces, each from the first of its sides.
+        for &t in region {
+            if self.polygon_of[t as usize] != NONE {
+                continue;
+            }
+            let members = self.piece(t, region.len());
+            let ring = self.ring_of(&members);
+            let ring = self.mesh.straightened(&ring);
+            if self.mesh.is_convex(&ring, normal) {
+                self.push(ring, &members);
+            } else {
+                members.iter().for_each(|&t| self.push(self.mesh.triangles[t as usize].to_vec(), &[t]));
+            }
+        }
+    }
+
+    fn push(&mut self, ring: Vec<u32>, members: &[u32]) {
+        let corners: Vec<Vec3> = ring.iter().map(|&v| self.mesh.at(v)).collect();
+        let plane = if ring.len() == 3 && members.len() == 1 {
+            Plane { normal: self.mesh.normal(members[0]), point: corners[0] }
+        } else {
+            Plane::of(&corners)
+        };
+        members.iter().for_each(|&t| self.polygon_of[t as usize] = self.polygons.len() as u32);
+        let twinned = members.iter().any(|&t| self.mesh.twinned[t as usize]);
+        self.polygons.push(Polygon { ring, plane, twinned });
+    }
+
+    /// The border of a region, when it is one loop that passes no vertex twice.
+    fn border(&mut self, region: &[u32]) -> Option<Vec<u32>> {
+        let open: Vec<u32> = region.iter().flat_map(|&t| sides(t)).filter(|&h| self.twin[h as usize] == NONE).collect();
+        let mut is_simple = !open.is_empty();
+        for &h in &open {
+            let leaving = &mut self.leaving[self.mesh.start(h) as usize];
+            is_simple &= *leaving == NONE;
+            *leaving = h;
+        }
+        let mut ring = Vec::with_capacity(open.len());
+        if is_simple {
+            let mut h = open[0];
+            while ring.len() < open.len() {
+                ring.push(self.mesh.start(h));
+                h = self.leaving[self.mesh.end(h) as usize];
+                if h == NONE || h == open[0] {
+                    break;
+                }
+            }
+        }
+        open.iter().for_each(|&h| self.leaving[self.mesh.start(h) as usize] = NONE);
+        (is_simple && ring.len() == open.len()).then_some(ring)
+    }
+
+    /// Leaves out sides between triangles while the pieces that they divide are convex together.
+    fn merge(&mut self, region: &[u32], normal: Vec3) {
+        let mut inner = self.in_order(region, normal);
+        let mut seen = HashSet::new();
+        loop {
+            let before = inner.len();
+            seen.clear();
+            for &h in &inner {
+                let is_left_out = self.twin[h as usize] == NONE;
+                if is_left_out || !seen.insert(h) {
+                    continue;
+                }
+                let chain = self.chain(h);
+                seen.extend(chain.iter().flat_map(|&h| [h, self.twin[h as usize]]));
+                self.leave_out(&chain, normal);
+            }
+            inner.retain(|&h| self.twin[h as usize] != NONE);
+            if inner.len() == before {
+                break;
+            }
+        }
+    }
+
+    /// The sides between triangles of a region, the longest first: diagonals before the sides of the squares that they halve;
+    /// of equal length those of one direction first, so that squares make rows before rows make blocks.
+    fn in_order(&self, region: &[u32], normal: Vec3) -> Vec<u32> {
+        let way = |h: u32| self.mesh.at(self.mesh.end(h)) - self.mesh.at(self.mesh.start(h));
+        let open = region.iter().flat_map(|&t| sides(t)).filter(|&h| self.twin[h as usize] == NONE);
+        let x = open.map(way).max_by(|v, w| v.length_squared().total_cmp(&w.length_squared())).unwrap_or(normal);
+        let y = normal.cross(x);
+        let mut inner: Vec<([i64; 2], u32)> = region
+            .iter()
+            .flat_map(|&t| sides(t))
+            .filter(|&h| self.twin[h as usize] != NONE && h < self.twin[h as usize])
+            .map(|h| {
+                let v = way(h);
+                // Classes, wide enough for rounding; the shift keeps common angles away from where the half turn closes.
+                let angle = (v.dot(y).atan2(v.dot(x)) + 0.05).rem_euclid(std::f64::consts::PI);
+                ([(-64.0 * v.length().log2()).round() as i64, (1e4 * angle).round() as i64], h)
+            })
+            .collect();
+        inner.sort_unstable();
+        inner.into_iter().map(|(_, h)| h).collect()
+    }
+
+    /// All sides along which the two pieces beside side `h` touch, one after the other: pieces are convex, so that they touch
+    /// along one straight line.
+    fn chain(&self, h: u32) -> Vec<u32> {
+        let mut first = h;
+        loop {
+            let before = self.previous[first as usize];
+            if self.twin[before as usize] == NONE
+                || self.twin[before as usize] != self.next[self.twin[first as usize] as usize]
+                || before == h
+            {
+                break;
+            }
+            first = before;
+        }
+        let mut chain = vec![first];
+        loop {
+            let last = chain[chain.len() - 1];
+            let after = self.next[last as usize];
+            if self.twin[after as usize] == NONE
+                || self.twin[after as usize] != self.previous[self.twin[last as usize] as usize]
+                || after == first
+            {
+                return chain;
+            }
+            chain.push(after);
+        }
+    }
+
+    /// Joins the two pieces beside a chain of sides, when together they are convex at both ends of it.
+    fn leave_out(&mut self, chain: &[u32], normal: Vec3) {
+        let (first, last) = (chain[0] as usize, chain[chain.len() - 1] as usize);
+        let (across_first, across_last) = (self.twin[first] as usize, self.twin[last] as usize);
+        let starts = [self.previous[first], self.previous[across_last]];
+        let ends = [self.next[across_first], self.next[last]];
+        let turns_left = |(&h, &g): (&u32, &u32)| {
+            let (v, w) = (self.mesh.at(self.mesh.start(h)), self.mesh.at(self.mesh.start(g)));
+            let (into, out) = (w - v, self.mesh.at(self.mesh.end(g)) - w);
+            let (length, other) = (into.length(), out.length());
+            let slack = FLAT * length * other + 8.0 * self.mesh.grain * (length + other);
+            let turn = into.cross(out).dot(normal);
+            turn > slack || (turn >= -slack && into.dot(out) > 0.0)
+        };
+        if !starts.iter().zip(&ends).all(turns_left) {
+            return;
+        }
+        for (&h, &g) in starts.iter().zip(&ends) {
+            self.next[h as usize] = g;
+            self.previous[g as usize] = h;
+        }
+        for &h in chain {
+            // Left out: on no ring, which a missing previous side tells; the next one tells what it was the border to.
+            let g = self.twin[h as usize];
+            self.twin[h as usize] = NONE;
+            self.twin[g as usize] = NONE;
+            self.next[h as usize] = g;
+            self.previous[h as usize] = NONE;
+            self.next[g as usize] = h;
+            self.previous[g as usize] = NONE;
+        }
+    }
+
+    /// The triangles of the piece that triangle `t` belongs to.
+    fn piece(&self, t: u32, most: usize) -> Vec<u32> {
+        let mut members = vec![t];
+        let mut known = HashSet::from([t]);
+        let mut k = 0;
+        while k < members.len() && members.len() <= most {
+            for h in sides(members[k]).into_iter().filter(|&h| self.previous[h as usize] == NONE) {
+                let neighbour = self.next[h as usize] / 3;
+                if known.insert(neighbour) {
+                    members.push(neighbour);
+                }
+            }
+            k += 1;
+        }
+        members
+    }
+
+    /// The border of a piece.
+    fn ring_of(&self, members: &[u32]) -> Vec<u32> {
+        let mut on_border = members.iter().flat_map(|&t| sides(t)).filter(|&h| self.previous[h as usize] != NONE);
+        let Some(first) = on_border.next() else { return self.mesh.triangles[members[0] as usize].to_vec() };
+        let mut ring = vec![self.mesh.start(first)];
+        let mut h = self.next[first as usize];
+        while h != first && ring.len() < 3 * members.len() {
+            ring.push(self.mesh.start(h));
+            h = self.next[h as usize];
+        }
+        ring
+    }
+}
+
+/// Polygons joined by convex edges. Sides of polygons are numbered through.
+struct Shells<'a> {
+    mesh: &'a Mesh<'a>,
+    polygons: &'a [Polygon],
+    /// The first side of every polygon.
+    first_side: Vec<u32>,
+    /// The polygon of every side.
+    owner: Vec<u32>,
+    /// The same edge as a side of another polygon, where the two meet at a convex edge and no third one makes it ambiguous.
+    across: Vec<u32>,
+    shell_of: Vec<u32>,
+    shells: Vec<Vec<u32>>,
+}
+
+/// A convex body, and what it takes to tell where patches lie on it.
+struct Solid {
+    body: Body,
+    /// The corners of every face.
+    rings: Vec<Vec<Vec3>>,
+    /// Whether the last face closes an opening of the shell.
+    has_cap: bool,
+    tolerance: f64,
+}
+
+impl Shells<'_> {
+    fn new<'a>(mesh: &'a Mesh<'a>, polygons: &'a [Polygon]) -> Shells<'a> {
+        let (mut first_side, mut owner) = (Vec::with_capacity(polygons.len()), Vec::new());
+        for (p, polygon) in polygons.iter().enumerate() {
+            first_side.push(owner.len() as u32);
+            owner.resize(owner.len() + polygon.ring.len(), p as u32);
+        }
+        let across = vec![NONE; owner.len()];
+        let shell_of = vec![NONE; polygons.len()];
+        let mut shells = Shells { mesh, polygons, first_side, owner, across, shell_of, shells: Vec::new() };
+        shells.join();
+        shells.collect();
+        shells
+    }
+
+    fn start(&self, side: u32) -> u32 {
+        let p = self.owner[side as usize] as usize;
+        self.polygons[p].ring[(side - self.first_side[p]) as usize]
+    }
+
+    fn end(&self, side: u32) -> u32 {
+        let p = self.owner[side as usize] as usize;
+        let ring = &self.polygons[p].ring;
+        ring[((side - self.first_side[p]) as usize + 1) % ring.len()]
+    }
+
+    /// Whether the edge between two polygons, a side of each, stands out.
+    fn stands_out(&self, side: u32, other: u32) -> bool {
+        let [m, n] = [side, other].map(|s| self.polygons[self.owner[s as usize] as usize].plane.normal);
+        let along = self.mesh.at(self.end(side)) - self.mesh.at(self.start(side));
+        self.start(side) == self.end(other) && m.cross(n).dot(along) > TOUCH * along.length()
+    }
+
+    fn join(&mut self) {
+        let mut edges: Vec<[u32; 3]> = (0..self.owner.len() as u32)
+            .map(|s| {
+                let (a, b) = (self.start(s), self.end(s));
+                [a.min(b), a.max(b), s]
+            })
+            .collect();
+        edges.sort_unstable();
+        for group in edges.chunk_by(|p, q| p[..2] == q[..2]).filter(|group| group.len() <= MOST_AT_AN_EDGE) {
+            let only = |s: u32| {
+                let mut fits = group.iter().map(|edge| edge[2]).filter(|&other| self.stands_out(s, other));
+                fits.next().filter(|_| fits.next().is_none())
+            };
+            let pairs: Vec<(u32, u32)> = group
+                .iter()
+                .filter_map(|edge| only(edge[2]).filter(|&other| only(other) == Some(edge[2])).map(|o| (edge[2], o)))
+                .collect();
+            pairs.iter().for_each(|&(s, other)| self.across[s as usize] = other);
+        }
+    }
+
+    fn collect(&mut self) {
+        for seed in 0..self.polygons.len() as u32 {
+            if self.shell_of[seed as usize] != NONE {
+                continue;
+            }
+            let number = self.shells.len() as u32;
+            self.shell_of[seed as usize] = number;
+            let mut shell = vec![seed];
+            let mut k = 0;
+            while k < shell.len() {
+                for s in self.sides(shell[k]) {
+                    let other = self.across[s as usize];
+                    if other == NONE {
+                        continue;
+                    }
+                    let neighbour = self.owner[other as usize];
+                    if self.shell_of[neighbour as usize] == NONE {
+                        self.shell_of[neighbour as usize] = number;
+                        shell.push(neighbour);
+                    }
+                }
+                k += 1;
+            }
+            self.shells.push(shell);
+        }
+    }
+
+    fn sides(&self, p: u32) -> std::ops::Range<u32> {
+        let first = self.first_side[p as usize];
+        first..first + self.polygons[p as usize].ring.len() as u32
+    }
+
+    /// The convex body that a shell is the border of, with or without one of its faces.
+    fn solid(&self, shell: &[u32]) -> Option<Solid> {
+        let polygons = || shell.iter().map(|&p| &self.polygons[p as usize]);
+        if !(3..=MOST_FACES).contains(&shell.len()) || polygons().any(|polygon| polygon.twinned) {
+            return None;
+        }
+        let corners = |ring: &[u32]| ring.iter().map(|&v| self.mesh.at(v)).collect::<Vec<Vec3>>();
+        let mut faces: Vec<Plane> = polygons().map(|polygon| polygon.plane).collect();
+        let mut rings: Vec<Vec<Vec3>> = polygons().map(|polygon| corners(&polygon.ring)).collect();
+        let face_of: HashMap<u32, u32> = shell.iter().zip(0..).map(|(&p, face)| (p, face)).collect();
+        let (mut edges, mut open) = (Vec::new(), Vec::new());
+        for (&p, left) in shell.iter().zip(0..) {
+            for s in self.sides(p) {
+                let other = self.across[s as usize];
+                if other == NONE {
+                    open.push((self.start(s), self.end(s), left));
+                } else if s < other {
+                    let (start, end) = (self.mesh.at(self.start(s)), self.mesh.at(self.end(s)));
+                    let right = *face_of.get(&self.owner[other as usize])?;
+                    edges.push(Edge { start, end, left, right });
+                }
+            }
+        }
+        let has_cap = !open.is_empty();
+        if has_cap {
+            let ring = corners(&opening(&open)?);
+            let vector = area_vector(&ring);
+            if !(vector.length() > 0.0) {
+                return None;
+            }
+            for &(start, end, left) in &open {
+                let (start, end) = (self.mesh.at(start), self.mesh.at(end));
+                edges.push(Edge { start, end, left, right: shell.len() as u32 });
+            }
+            faces.push(Plane { normal: vector.normalize(), point: ring[0] });
+            rings.push(ring);
+        }
+        let mut vertices: Vec<u32> = polygons().flat_map(|polygon| polygon.ring.iter().copied()).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        // Euler: what is closed like a sphere covers the border of its hull once.
+        if faces.len() < 4 || vertices.len() + faces.len() != edges.len() + 2 {
+            return None;
+        }
+        let points = Tree::new(vertices.iter().map(|&v| (v, (self.mesh.at(v), self.mesh.at(v)))).collect());
+        let (low, high) = points.bounds();
+        let size = (high - low).max_element();
+        let tolerance = TOUCH * size + 16.0 * self.mesh.grain;
+        let is_border = |plane: &Plane| {
+            let (before, behind) = points.sides(plane, [tolerance, -(THIN * size).max(2.0 * tolerance)]);
+            behind && !before
+        };
+        let cap = rings.last().filter(|_| has_cap);
+        let is_plane = cap.is_none_or(|ring| ring.iter().all(|x| faces[shell.len()].distance(*x).abs() <= tolerance));
+        (is_plane && faces.iter().all(is_border)).then_some(Solid {
+            body: Body { faces, edges, low, high },
+            rings,
+            has_cap,
+            tolerance,
+        })
+    }
+}
+
+/// The loop that the open sides of a shell make, each (start, end, face), seen from outside the body that it closes; none
+/// when they make several, or pass a vertex twice.
+fn opening(open: &[(u32, u32, u32)]) -> Option<Vec<u32>> {
+    // Seen through the opening the sides run the other way.
+    let next: HashMap<u32, u32> = open.iter().map(|&(start, end, _)| (end, start)).collect();
+    let mut ring = vec![open[0].0];
+    while ring.len() <= open.len() {
+        let v = *next.get(&ring[ring.len() - 1])?;
+        if v == ring[0] {
+            break;
+        }
+        ring.push(v);
+    }
+    (next.len() == open.len() && ring.len() == open.len()).then_some(ring)
+}
+
+/// The patches around a solid that are no part of it.
+struct Others<'a, F> {
+    scene: &'a Scene,
+    patches: &'a Tree,
+    is_own: F,
+}
+
+impl<F: Fn(u32) -> bool> Others<'_, F> {
+    /// The patches that reach into a solid; none when the solid does not stand for its shell.
+    ///
+    /// Patches that lie on a face and look into the solid, like the floor that a box stands on, see nothing but its inside.
+    /// That may be left out of account only while they cannot see each other or out: when all of them lie on one face, and
+    /// that face is the opening if there is one.
+    fn around(&self, solid: &Solid) -> Option<Vec<u32>> {
+        let Solid { body, tolerance, .. } = solid;
+        let cap = solid.has_cap.then(|| body.faces.len() - 1);
+        let mut looked_through = cap;
+        let mut inside = Vec::new();
+        let mut is_sound = true;
+        self.patches.meeting(body.low - *tolerance, body.high + *tolerance, |i| {
+            if !is_sound || (self.is_own)(i) {
+                return;
+            }
+            let triangle = self.scene.triangle(i as usize);
+            let normal = self.scene.normals()[i as usize];
+            let may_reach_in = body.faces.iter().all(|face| triangle.iter().any(|v| face.distance(*v) < -tolerance));
+            if may_reach_in && reaches_in(&triangle, &body.faces, *tolerance) {
+                return inside.push(i);
+            }
+            for (k, face) in body.faces.iter().enumerate() {
+                let looks_in = normal.dot(face.normal) < -0.99;
+                let lies_in = |v: &Vec3| face.distance(*v).abs() <= *tolerance;
+                if looks_in && triangle.iter().all(lies_in) && overlap(&triangle, &solid.rings[k], face, *tolerance) {
+                    is_sound &= looked_through.is_none_or(|other| other == k);
+                    looked_through = Some(k);
+                }
+            }
+        });
+        is_sound.then_some(inside)
+    }
+}
+
+/// Whether a part of a triangle lies deeper than `tolerance` beneath every one of `faces`.
+fn reaches_in(triangle: &Triangle, faces: &[Plane], tolerance: f64) -> bool {
+    let inner = faces.iter().map(|face| Plane { normal: -face.normal, point: face.point - tolerance * face.normal });
+    remains(triangle, inner)
+}
+
+/// Whether a triangle in the plane `face` covers more of the convex polygon `ring` than its border.
+fn overlap(triangle: &Triangle, ring: &[Vec3], face: &Plane, tolerance: f64) -> bool {
+    let sides = (0..ring.len()).map(|k| {
+        let inward = face.normal.cross(ring[(k + 1) % ring.len()] - ring[k]).normalize_or_zero();
+        Plane { normal: inward, point: ring[k] + tolerance * inward }
+    });
+    remains(triangle, sides)
+}
+
+/// Whether anything of a triangle lies before all of `planes`.
+fn remains(triangle: &Triangle, planes: impl Iterator<Item = Plane>) -> bool {
+    let (mut rest, mut clipped) = (triangle.to_vec(), Vec::new());
+    for plane in planes {
+        clip_to_front(&rest, &plane, &mut clipped);
+        std::mem::swap(&mut rest, &mut clipped);
+        if rest.is_empty() {
+            return false;
+        }
+    }
+    true
+}
+
+/// What lies on both sides of a plane, asked of all corners of the scene's patches.
+struct Hull {
+    points: Tree,
+    tolerance: f64,
+}
+
+impl Hull {
+    fn new(scene: &Scene) -> Hull {
+        let mut used: Vec<u32> = scene.faces().as_flattened().to_vec();
+        used.sort_unstable();
+        used.dedup();
+        let at = |v: u32| scene.vertices()[v as usize];
+        let points = Tree::new(used.into_iter().map(|v| (v, (at(v), at(v)))).collect());
+        let (low, high) = points.bounds();
+        let size = (high - low).max_element().max(low.abs().max(high.abs()).max_element());
+        Hull { points, tolerance: 64.0 * f64::EPSILON * size }
+    }
+
+    fn has_both_sides(&self, plane: &Plane) -> bool {
+        self.points.sides(plane, [self.tolerance, -self.tolerance]) == (true, true)
+    }
+}
+
+/// Boxes in a binary tree, in the order of a walk from the root: what is not looked into is jumped over.
+#[derive(Debug, Clone)]
+struct Tree {
+    nodes: Vec<Node>,
+    items: Vec<(u32, (Vec3, Vec3))>,
+}
+
+#[derive(Debug, Clone)]
+struct Node {
+    low: Vec3,
+    high: Vec3,
+    /// The node that comes after all below this one.
+    beyond: usize,
+    /// The boxes of a leaf; empty for an inner node.
+    items: std::ops::Range<usize>,
+}
+
+impl Tree {
+    fn new(items: Vec<(u32, (Vec3, Vec3))>) -> Tree {
+        let count = items.len();
+        let mut tree = Tree { nodes: Vec::with_capacity(count / 4 + 1), items };
+        if count > 0 {
+            tree.split(0, count);
+        }
+        tree
+    }
+
+    /// Halves the boxes at the median along the longest axis: the depth is logarithmic whatever they are.
+    fn split(&mut self, first: usize, end: usize) {
+        let items = &mut self.items[first..end];
+        let low = items.iter().fold(Vec3::INFINITY, |m, (_, (low, _))| m.min(*low));
+        let high = items.iter().fold(Vec3::NEG_INFINITY, |m, (_, (_, high))| m.max(*high));
+        let index = self.nodes.len();
+        self.nodes.push(Node { low, high, beyond: 0, items: first..first });
+        if items.len() <= LEAF {
+            self.nodes[index].items = first..end;
+        } else {
+            let extent = (high - low).to_array();
+            let axis = (0..3).max_by(|&a, &b| extent[a].total_cmp(&extent[b])).unwrap_or(0);
+            let middle = items.len() / 2;
+            let place = |(_, (low, high)): &(u32, (Vec3, Vec3))| 0.5 * low[axis] + 0.5 * high[axis];
+            items.select_nth_unstable_by(middle, |a, b| place(a).total_cmp(&place(b)).then(a.0.cmp(&b.0)));
+            self.split(first, first + middle);
+            self.split(first + middle, end);
+        }
+        self.nodes[index].beyond = self.nodes.len();
+    }
+
+    /// Smallest and largest coordinates.
+    fn bounds(&self) -> (Vec3, Vec3) {
+        self.nodes.first().map_or((Vec3::ZERO, Vec3::ZERO), |root| (root.low, root.high))
+    }
+
+    /// Visits the nodes for which `opens` is true and the boxes in them, until `visit` returns false.
+    fn walk(&self, mut opens: impl FnMut(&Node) -> bool) {
+        let mut index = 0;
+        while let Some(node) = self.nodes.get(index) {
+            index = if opens(node) { index + 1 } else { node.beyond };
+        }
+    }
+
+    /// The boxes that meet a box.
+    fn meeting(&self, low: Vec3, high: Vec3, mut visit: impl FnMut(u32)) {
+        self.walk(|node| {
+            let meets = node.low.cmple(high).all() && node.high.cmpge(low).all();
+            for (i, (l, h)) in self.items[node.items.clone()].iter().filter(|_| meets) {
+                if l.cmple(high).all() && h.cmpge(low).all() {
+                    visit(*i);
+                }
+            }
+            meets
+        });
+    }
+
+    /// Whether any of the points, each a box without extent, lies further before a plane than `beyond[0]`, and whether any
+    /// lies further behind it than `beyond[1]`, which is negative.
+    fn sides(&self, plane: &Plane, beyond: [f64; 2]) -> (bool, bool) {
+        let (mut before, mut behind) = (false, false);
+        let mut add = |low: f64, high: f64, is_point: bool| {
+            let tells = (!before && high > beyond[0]) || (!behind && low < beyond[1]);
+            if is_point {
+                before |= high > beyond[0];
+                behind |= low < beyond[1];
+            }
+            tells
+        };
+        self.walk(|node| {
+            let half = 0.5 * (node.high - node.low);
+            let (middle, reach) = (plane.distance(node.low + half), half.dot(plane.normal.abs()));
+            let opens = add(middle - reach, middle + reach, false);
+            for (_, (x, _)) in self.items[node.items.clone()].iter().filter(|_| opens) {
+                let distance = plane.distance(*x);
+                add(distance, distance, true);
+            }
+            opens
+        });
+        (before, behind)
+    }
+}
