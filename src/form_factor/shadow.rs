@@ -18,7 +18,7 @@ use std::collections::BinaryHeap;
 
 use super::Patch;
 use super::point_to_polygon::edge_term;
-use crate::geometry::polygon::{Plane, clip_to_front};
+use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
 use crate::geometry::quadrature::{TrianglePoint, TriangleRule};
 use crate::geometry::{Triangle, Vec3};
 use crate::simd::double::{Double, LANES, Vectors};
@@ -148,7 +148,8 @@ impl Shadows {
             return all;
         }
         let fan: Vec<Triangle> = (2..source.len()).map(|k| [source[0], source[k - 1], source[k]]).collect();
-        let mut cells: BinaryHeap<Cell> = self.look(&fan, from.normal, &target, &solids)?.into();
+        let whole = fan.iter().map(|t| area(t)).sum();
+        let mut cells: BinaryHeap<Cell> = self.look(&fan, whole, from.normal, &target, &solids)?.into();
         let total: f64 = cells.iter().map(|cell| cell.all).sum();
         if !(total > 0.0) {
             return all;
@@ -159,13 +160,15 @@ impl Shadows {
             let [p, q, r] = worst.triangle;
             let [pq, qr, rp] = [0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + p)];
             let quarters = [[p, pq, rp], [pq, q, qr], [rp, qr, r], [pq, qr, rp]];
-            cells.extend(self.look(&quarters, from.normal, &target, &solids)?);
-            // Summed anew: differences would leave their rounding behind.
-            error = cells.iter().map(|cell| cell.error).sum();
+            for cell in self.look(&quarters, whole, from.normal, &target, &solids)? {
+                error += cell.error;
+                cells.push(cell);
+            }
+            error -= worst.error;
         }
-        let cells = cells.into_sorted_vec();
+        let cells = cells.into_vec();
         let (hidden, all) = cells.iter().fold((0.0, 0.0), |(hidden, all), c| (hidden + c.hidden, all + c.all));
-        Some(Visible { fraction: (1.0 - hidden / all).clamp(0.0, 1.0), error: error / all })
+        Some(Visible { fraction: (1.0 - hidden / all).clamp(0.0, 1.0), error: error.max(0.0) / all })
     }
 
     /// What the points of each triangle see of the target, and what is hidden.
@@ -182,7 +185,7 @@ impl Shadows {
         // Of every triangle: whether a point saw something hidden, and whether one saw something at all.
         let mut mixed = vec![[false; 2]; triangles.len()];
         for (k, triangle) in triangles.iter().enumerate() {
-            let area = 0.5 * (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]).length();
+            let area = area(triangle);
             for (r, rule) in RULES.iter().enumerate() {
                 let slot = (2 * (k * RULES.len() + r)) as u32;
                 for TrianglePoint { barycentric: [u, v, w], weight } in rule.points() {
@@ -200,7 +203,9 @@ impl Shadows {
             let (coarse_hidden, coarse_all) = (sums[3], sums[2]);
             // As fractions: where the view itself changes fast, both change together.
             let coarse = if coarse_all > 0.0 { coarse_hidden * (all / coarse_all) } else { 0.0 };
-            let error = if hides && shows { (hidden - coarse).abs() } else { UNSEEN * all.abs() };
+            // The smaller the triangle, the less can hide in its corners.
+            let unseen = UNSEEN * (area(&triangle) / whole).sqrt() * all.abs();
+            let error = if hides && shows { (hidden - coarse).abs() } else { unseen };
             Cell { triangle, hidden, all, error }
         });
         Some(cells.collect())
@@ -358,6 +363,10 @@ impl Shadows {
         }
         whole
     }
+}
+
+fn area(triangle: &Triangle) -> f64 {
+    area_vector(triangle).length()
 }
 
 /// A length that counts as none beside a body.
