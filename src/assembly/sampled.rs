@@ -93,7 +93,9 @@ impl Sampled {
     /// [`Error::Invalid`] for a tolerance out of range, [`Error::Memory`] as soon as the rows no longer fit,
     /// [`Error::Interrupted`].
     pub fn new(scene: &Scene, estimator: Estimator, options: SampledOptions, progress: &Progress) -> Result<Sampled> {
-        let tolerance = Accuracy::new(options.tolerance)?.tolerance();
+        // The same range as that of the kernels, which keep to steps of it; rays can be as many as asked for.
+        Accuracy::new(options.tolerance)?;
+        let tolerance = options.tolerance;
         let n = scene.len();
         let least = Sampled::forecast(n);
         let fits = |needed: u64| {
