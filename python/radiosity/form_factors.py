@@ -100,9 +100,9 @@ def form_factors(
               As many a patch as the expected row error, the sum over j of E abs(dF_ij), asks for, 1,024 to 1,048,576.
               n patches seen alike need about n / tolerance^2 of them.
             - ``"hemicube"``: one ray through each cell of hemicubes over points of the patch. Resolution (16 to 512)
-              and points (1 to 256) are raised, whichever matters more, until halving the resolution (at other angles)
-              and quartering the points change the row by no more than the tolerance together, or one evaluation would
-              cast more than 4,194,304 rays. The first measures aliasing, the second proximity and visibility.
+              and number of points (1 to 256, quasi-random) are raised, whichever matters more, until half the resolution
+              (at other angles) and a quarter of the points (others) change the row by no more than the tolerance
+              together, or one evaluation would cast more than 4,194,304 rays. The first measures aliasing, the second proximity and visibility.
 
             Each row of the last two is an estimate for itself, stored sparsely: reciprocity holds within the errors,
             and row sums say nothing about them, as no ray is lost in a closed scene.

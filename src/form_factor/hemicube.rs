@@ -23,9 +23,10 @@
 //! - aliasing: a patch covers each cell as a whole or not at all. A patch smaller than a cell may be missed.
 //!
 //! Both kinds of error are measured, and added: aliasing by half the resolution at other angles about the normal, proximity and
-//! visibility by a quarter of the points. The larger of the two is refined until their sum is within the tolerance. Both compare
-//! with something coarser, so they rather overstate the error of what is returned. What no cell of any resolution has met is in
-//! neither.
+//! visibility by a quarter as many points, which are others too. The larger of the two is refined until their sum is within the
+//! tolerance. Both compare with something coarser, so they mostly overstate the error of what is returned. The points are
+//! quasi-random because a regular grid may deceive: on the floor under a box, four and sixteen centroids can agree on the hidden
+//! part and be wrong. What no cell of any resolution has met is in neither.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::OnceLock;
@@ -33,7 +34,7 @@ use std::sync::OnceLock;
 use super::emitter::{BUNDLE, Emitter, Tally};
 use crate::error::Result;
 use crate::geometry::Vec3;
-use crate::geometry::sampling::{Random, hash};
+use crate::geometry::sampling::{Random, Sobol, hash, point_in_triangle};
 use crate::progress::Progress;
 
 /// Cells along an edge of the top of the coarsest hemicube.
@@ -125,7 +126,7 @@ fn side_antiderivative(y: f64, z: f64) -> f64 {
 pub struct Setting {
     /// Which resolution r = 16 2^k.
     pub resolution: usize,
-    /// Which set of points: the centroids of 4^k equal parts of the patch.
+    /// Which set of 4^k points: the centroid, and beyond it quasi-random ones.
     pub points: u32,
 }
 
@@ -220,7 +221,7 @@ impl Hemicubes {
         progress: &Progress,
     ) -> Result<Vec<(u32, f64)>> {
         let cube = self.0[setting.resolution].get_or_init(|| Hemicube::new(COARSEST << setting.resolution));
-        let points = centroids(emitter, setting.points);
+        let points = sample_points(emitter, setting.points, seed);
         let share = 1.0 / points.len() as f64;
         let mut random = Random::new(hash(seed ^ hash(emitter.stream() ^ hash(cube.cells()))));
         let (mut rays, mut deltas) = (Vec::with_capacity(BUNDLE), Vec::with_capacity(BUNDLE));
@@ -247,24 +248,19 @@ impl Hemicubes {
     }
 }
 
-/// The centroids of the 4^level triangles that halving the edges `level` times makes of the patch.
-fn centroids(emitter: &Emitter, level: u32) -> Vec<Vec3> {
-    let [a, b, c] = emitter.triangle;
-    let parts = 1u32 << level;
-    let at = |i: u32, j: u32, third: f64| {
-        let [u, v] = [i, j].map(|k| (f64::from(k) + third) / f64::from(parts));
-        a + u * (b - a) + v * (c - a)
-    };
-    let mut points = Vec::with_capacity(1 << (2 * level));
-    for j in 0..parts {
-        for i in 0..parts - j {
-            points.push(at(i, j, 1.0 / 3.0));
-            if i + j + 1 < parts {
-                points.push(at(i, j, 2.0 / 3.0));
-            }
-        }
+/// The sample points of a set: the centroid, or 4^set points of a scrambled sequence. Each set has a scramble of its own, so
+/// that the errors of two sets are independent, and their difference tells of both.
+fn sample_points(emitter: &Emitter, set: u32, seed: u64) -> Vec<Vec3> {
+    if set == 0 {
+        let [a, b, c] = emitter.triangle;
+        return vec![(a + b + c) / 3.0];
     }
-    points
+    let sobol = Sobol::new(hash(seed ^ hash(emitter.stream() ^ hash(u64::from(set)))));
+    let point = |k: u32| {
+        let [u, v, _, _] = sobol.point(k);
+        point_in_triangle(&emitter.triangle, u, v)
+    };
+    (0..1 << (2 * set)).map(point).collect()
 }
 
 /// |a_j - b_j| of two rows in the order of their patches, for every patch of either.
