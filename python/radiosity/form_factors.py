@@ -98,14 +98,16 @@ def form_factors(
               segments a pair are spent). No segments are cast where nothing can block.
             - ``"monte_carlo"``: random rays, cosine-distributed; F_ij is the fraction that meets the front of j first.
               As many a patch as the expected row error, the sum over j of E abs(dF_ij), asks for, 1,024 to 1,048,576.
-              n patches seen alike need about n / tolerance^2 of them.
+              n patches seen alike need about 0.6 n / tolerance^2 of them.
             - ``"hemicube"``: one ray through each cell of hemicubes over points of the patch. Resolution (16 to 512)
-              and number of points (1 to 256, quasi-random) are raised, whichever matters more, until half the resolution
-              (at other angles) and a quarter of the points (others) change the row by no more than the tolerance
-              together, or one evaluation would cast more than 4,194,304 rays. The first measures aliasing, the second proximity and visibility.
+              and number of points (1 to 256, quasi-random) are raised, whichever matters more, until half the
+              resolution (at other angles) and a quarter of the points (others) change the row by no more than the
+              tolerance together, or one evaluation would cast more than 4,194,304 rays. The first measures aliasing,
+              the second proximity and visibility.
 
-            Each row of the last two is an estimate for itself, stored sparsely: reciprocity holds within the errors,
-            and row sums say nothing about them, as no ray is lost in a closed scene.
+            Each row of the last two is an estimate for itself, stored sparsely: reciprocity, and with it the energy
+            audit of a solution, holds within the errors; row sums say nothing about them, as no ray is lost in a closed
+            scene.
         seed: of the segments and rays. The result is the same for any number of threads.
         threads: None for all cores.
         progress: see :mod:`radiosity.progress`.
