@@ -1,18 +1,19 @@
-//! How well an operator keeps the two laws of form factors, reciprocity and conservation; and the repair of the second where
-//! the first is exact.
+//! How well an operator keeps the two laws of form factors, reciprocity and conservation; and the repair of the second
+//! where the first is exact.
 //!
-//! In a closed scene the exchange G_ij = A_i F_ij of a patch with all others sums to its area. Of all symmetric changes D that
-//! make it so, the repair takes the one whose relative changes are least in the sense of least squares (van Leersum 1989;
-//! Lawson 1995; Vercammen & Froment 1980; reviewed by Daun, Morton & Howell 2005):
+//! In a closed scene the exchange G_ij = A_i F_ij of a patch with all others sums to its area. Of all symmetric changes
+//! D that make it so, the repair takes the one whose relative changes are least in the sense of least squares (van
+//! Leersum 1989; Lawson 1995; Vercammen & Froment 1980; reviewed by Daun, Morton & Howell 2005):
 //!
-//!   minimise sum over i > j of D_ij^2 / w_ij,   w_ij = G_ij^2,   subject to  sum over j of (G_ij + D_ij) = A_i  for every i
+//!   minimise    sum over i > j of D_ij^2 / w_ij,   w_ij = G_ij^2
+//!   subject to  sum over j of (G_ij + D_ij) = A_i  for every i
 //!
 //! Pairs that do not see each other have w = 0 and stay as they are. With one multiplier l_i a row the solution is
 //!
 //!   D_ij = w_ij (l_i + l_j),    (diag(W 1) + W) l = r,    r_i = A_i - sum over j of G_ij
 //!
-//! The matrix is symmetric and positive semidefinite: conjugate gradients (Hestenes & Stiefel 1952), preconditioned by its
-//! diagonal, solve it with products over G alone.
+//! The matrix is symmetric and positive semidefinite: conjugate gradients (Hestenes & Stiefel 1952), preconditioned by
+//! its diagonal, solve it with products over G alone.
 
 use rayon::prelude::*;
 
@@ -46,8 +47,8 @@ pub fn reciprocity_error(f: &dyn FormFactors) -> Option<f64> {
     Some(if largest > 0.0 { worst / largest } else { 0.0 })
 }
 
-/// A row that misses 1 by more than so many row errors is open: |1 - row sum| is at most the row error itself, and the estimate
-/// of that is good to a factor.
+/// A row that misses 1 by more than so many row errors is open: |1 - row sum| is at most the row error itself, and the
+/// estimate of that is good to a factor.
 const OPEN: f64 = 3.0;
 /// Row sums are exact when they are off by no more than this.
 const EXACT: f64 = 1e-14;
@@ -81,8 +82,8 @@ pub fn balanced(f: &Dense, memory: u64, progress: &Progress) -> Result<(Dense, f
     let worst = f.row_sums().into_iter().enumerate().max_by(|a, b| (1.0 - a.1).abs().total_cmp(&(1.0 - b.1).abs()));
     if let Some((i, sum)) = worst.filter(|(_, sum)| !((1.0 - sum).abs() <= allowed)) {
         return Err(Error::Invalid(format!(
-            "patch {i}: row sum {sum:.6} is further from 1 than {OPEN} times the row error {:.2e}: the scene is not closed, \
-             and only a closed one can be balanced",
+            "patch {i}: row sum {sum:.6} is further from 1 than {OPEN} times the row error {:.2e}: the scene is not \
+             closed, and only a closed one can be balanced",
             f.error_estimate()
         )));
     }
@@ -91,8 +92,8 @@ pub fn balanced(f: &Dense, memory: u64, progress: &Progress) -> Result<(Dense, f
     Ok((f.with_exchange(exchange, f.error_estimate() + moved), moved))
 }
 
-/// The same for a packed triangle (the i entries G_i0 .. G_i,i-1 of every row i): the changed triangle, and the largest change
-/// of a row.
+/// The same for a packed triangle (the i entries G_i0 .. G_i,i-1 of every row i): the changed triangle, and the largest
+/// change of a row.
 ///
 /// An entry that would become negative is fixed at 0, and the others are found again without it.
 ///
@@ -113,8 +114,8 @@ pub fn balanced_exchange(areas: &[f64], exchange: &[f64], progress: &Progress) -
 
 fn impossible() -> Error {
     Error::Invalid(
-        "the rows cannot be made to sum to 1 by changing the exchange of patches that see each other: ask for a tighter \
-         tolerance"
+        "the rows cannot be made to sum to 1 by changing the exchange of patches that see each other: ask for a \
+         tighter tolerance"
             .to_string(),
     )
 }

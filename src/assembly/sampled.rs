@@ -1,8 +1,9 @@
 //! The sampled operator: every row of F estimated for itself by rays, stored sparsely.
 //!
-//! The rows come from [`crate::form_factor::monte_carlo`] or [`crate::form_factor::hemicube`]. F_ij and F_ji are separate
-//! estimates, so that reciprocity holds within their errors only; [`super::balance::reciprocity_error`] shows how well. Row sums
-//! of a closed scene are 1 to rounding, because every ray arrives somewhere: they say nothing about the error.
+//! The rows come from [`crate::form_factor::monte_carlo`] or [`crate::form_factor::hemicube`]. F_ij and F_ji are
+//! separate estimates, so that reciprocity holds within their errors only; [`super::balance::reciprocity_error`] shows
+//! how well. Row sums of a closed scene are 1 to rounding, because every ray arrives somewhere: they say nothing about
+//! the error.
 //!
 //! The error of F x. Monte Carlo counts are multinomial, and with the mean f_i = sum over j of F_ij x_j
 //!
@@ -82,7 +83,8 @@ struct Row {
 const BYTES_OF_ENTRY: u64 = 3 * (size_of::<u32>() + size_of::<f64>()) as u64;
 
 impl Sampled {
-    /// Bytes that the operator of `n` patches holds at least; how many entries there are is known only as they are found.
+    /// Bytes that the operator of `n` patches holds at least; how many entries there are is known only as they are
+    /// found.
     pub fn forecast(n: usize) -> u64 {
         (n * (2 * size_of::<usize>() + size_of::<f64>() + size_of::<Row>())) as u64
     }
@@ -246,8 +248,8 @@ impl FormFactors for Sampled {
             self.apply(x, bands, &mut mean);
         }
         let mut variance = vec![0.0; x.len()];
-        // Around the mean, with what nobody receives as one more class of x = 0: the sum of squares less that of the mean
-        // would leave the rounding of both.
+        // Around the mean, with what nobody receives as one more class of x = 0: the sum of squares less that of the
+        // mean would leave the rounding of both.
         self.for_each_entry(|i, j, _, error, _| {
             for b in 0..bands {
                 variance[i * bands + b] += (error * ((x[j * bands + b] - mean[i * bands + b]) / peak)).powi(2);
@@ -263,8 +265,8 @@ impl FormFactors for Sampled {
         Some(variance.iter().map(|v| peak * v.sqrt()).collect())
     }
 
-    /// Monte Carlo: dF_ij = s_ij - F_ij sum over k of s_ik, with s_ik = +- sqrt(F_ik / m) and rays that nobody receives as one
-    /// more class, has the covariance (F_ij [i = j] - F_ij F_ik) / m of multinomial counts.
+    /// Monte Carlo: dF_ij = s_ij - F_ij sum over k of s_ik, with s_ik = +- sqrt(F_ik / m) and rays that nobody receives
+    /// as one more class, has the covariance (F_ij [i = j] - F_ij F_ik) / m of multinomial counts.
     fn sampling_error(&self, x: &[f64], bands: usize, draw: u64) -> Option<Vec<f64>> {
         let seed = hash(draw);
         // A random sign has the variance 1, which is all that a sum of many needs.

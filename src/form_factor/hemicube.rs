@@ -1,10 +1,10 @@
-//! One row of F by the hemicube (Cohen & Greenberg 1985): half a cube over a point of the patch, its five faces cut into
-//! cells, and in each cell the patch that is seen through its middle (the item buffer).
+//! One row of F by the hemicube (Cohen & Greenberg 1985): half a cube over a point of the patch, its five faces cut
+//! into cells, and in each cell the patch that is seen through its middle (the item buffer).
 //!
 //!   F_ij = mean over the points of  sum over the cells that show the front of j of  dF
 //!
-//! The delta form factor dF of a cell is the fraction of what leaves the point that goes through it. On the top, at height 1,
-//! and on a side, at distance 1 with the height z above the patch, its density is
+//! The delta form factor dF of a cell is the fraction of what leaves the point that goes through it. On the top, at
+//! height 1, and on a side, at distance 1 with the height z above the patch, its density is
 //!
 //!   1 / (pi (x^2 + y^2 + 1)^2),    z / (pi (y^2 + z^2 + 1)^2)
 //!
@@ -13,8 +13,8 @@
 //!   P(x, y) = [x / sqrt(1 + x^2) atan(y / sqrt(1 + x^2)) + y / sqrt(1 + y^2) atan(x / sqrt(1 + y^2))] / (2 pi)
 //!   S(y, z) = -atan(y / sqrt(1 + z^2)) / (2 pi sqrt(1 + z^2))
 //!
-//! (the closed forms of a point and a rectangle parallel or perpendicular to it: Howell, B-3 and B-4), so that the delta form
-//! factors sum to 1 at every resolution, to rounding, and nothing has to be normalised.
+//! (the closed forms of a point and a rectangle parallel or perpendicular to it: Howell, B-3 and B-4), so that the
+//! delta form factors sum to 1 at every resolution, to rounding, and nothing has to be normalised.
 //!
 //! The method assumes three things, none of which holds quite (Baum, Rushmeier & Winget 1989):
 //!
@@ -22,11 +22,11 @@
 //! - visibility: what is hidden from the middle of the patch is hidden from all of it.
 //! - aliasing: a patch covers each cell as a whole or not at all. A patch smaller than a cell may be missed.
 //!
-//! Both kinds of error are measured, and added: aliasing by half the resolution at other angles about the normal, proximity and
-//! visibility by a quarter as many points, which are others too. The larger of the two is refined until their sum is within the
-//! tolerance. Both compare with something coarser, so they mostly overstate the error of what is returned. The points are
-//! quasi-random because a regular grid may deceive: on the floor under a box, four and sixteen centroids can agree on the hidden
-//! part and be wrong. What no cell of any resolution has met is in neither.
+//! Both kinds of error are measured, and added: aliasing by half the resolution at other angles about the normal,
+//! proximity and visibility by a quarter as many points, which are others too. The larger of the two is refined until
+//! their sum is within the tolerance. Both compare with something coarser, so they mostly overstate the error of what
+//! is returned. The points are quasi-random because a regular grid may deceive: on the floor under a box, four and
+//! sixteen centroids can agree on the hidden part and be wrong. What no cell of any resolution has met is in neither.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::OnceLock;
@@ -164,7 +164,8 @@ pub struct Row {
 }
 
 impl Hemicubes {
-    /// Refines a row until both errors together are within `tolerance`, or an evaluation would cast more than 2^22 rays.
+    /// Refines a row until both errors together are within `tolerance`, or an evaluation would cast more than 2^22
+    /// rays.
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`].
@@ -207,8 +208,8 @@ impl Hemicubes {
         }
     }
 
-    /// The row as one setting sees it, in the order of the patches. Each point has an angle of its own about the normal, and
-    /// each resolution has others, so that their cells do not fall on the same edges.
+    /// The row as one setting sees it, in the order of the patches. Each point has an angle of its own about the
+    /// normal, and each resolution has others, so that their cells do not fall on the same edges.
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`].
@@ -248,8 +249,8 @@ impl Hemicubes {
     }
 }
 
-/// The sample points of a set: the centroid, or 4^set points of a scrambled sequence. Each set has a scramble of its own, so
-/// that the errors of two sets are independent, and their difference tells of both.
+/// The sample points of a set: the centroid, or 4^set points of a scrambled sequence. Each set has a scramble of its
+/// own, so that the errors of two sets are independent, and their difference tells of both.
 fn sample_points(emitter: &Emitter, set: u32, seed: u64) -> Vec<Vec3> {
     if set == 0 {
         let [a, b, c] = emitter.triangle;

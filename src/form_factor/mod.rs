@@ -15,8 +15,8 @@
 //! | [`select`] | which of them, for a tolerance | |
 //! | [`occluded`] | the visible fraction V of a pair | |
 //!
-//! Two older estimators work row by row instead, occlusion included, with a sampling error in every entry; both send out rays
-//! from an [`emitter`]:
+//! Two older estimators work row by row instead, occlusion included, with a sampling error in every entry; both send
+//! out rays from an [`emitter`]:
 //!
 //! | file | estimator | good for |
 //! |---|---|---|

@@ -2,20 +2,20 @@
 //!
 //!   F_ij ~ K_j / m,    standard error = sqrt(F_ij (1 - F_ij) / m)
 //!
-//! with m rays from uniform points of patch i, K_j of which meet the front of j first (Malley 1988; Cohen & Wallace 1993,
-//! section 4.4.5). Directions: a uniform point of the unit disk, lifted to the hemisphere, has the density cos / pi (Nusselt
-//! 1928). The rays are independent, so that the counts are multinomial and their error needs no assumption; quasi-random rays
-//! would do better and could not tell by how much.
+//! with m rays from uniform points of patch i, K_j of which meet the front of j first (Malley 1988; Cohen & Wallace
+//! 1993, section 4.4.5). Directions: a uniform point of the unit disk, lifted to the hemisphere, has the density cos /
+//! pi (Nusselt 1928). The rays are independent, so that the counts are multinomial and their error needs no assumption;
+//! quasi-random rays would do better and could not tell by how much.
 //!
 //! The row error sum over j of |dF_ij| is expected to be
 //!
 //!   sum over j of sqrt(2/pi) sqrt(F_ij (1 - F_ij) / m)
 //!
-//! where many rays meet j (the mean of |x| of a normal x is sqrt(2/pi) of its standard deviation). Where few do, the plug-in
-//! value is too small: it is 0 for the many patches that no ray has met yet. A Poisson count K of mean L < 1 has
-//! E|K - L| = 2 L exp(-L), which is met without bias by counting 2 for each patch that was met once and nothing for the others.
-//! The two are joined: 2 / m for a count of 1, the normal value from 2 up. For L = 1 that overstates the expectation by 44 %,
-//! for L = 3 by 10 %; nowhere is it understated by more than 3 %.
+//! where many rays meet j (the mean of |x| of a normal x is sqrt(2/pi) of its standard deviation). Where few do, the
+//! plug-in value is too small: it is 0 for the many patches that no ray has met yet. A Poisson count K of mean L < 1
+//! has E|K - L| = 2 L exp(-L), which is met without bias by counting 2 for each patch that was met once and nothing for
+//! the others. The two are joined: 2 / m for a count of 1, the normal value from 2 up. For L = 1 that overstates the
+//! expectation by 44 %, for L = 3 by 10 %; nowhere is it understated by more than 3 %.
 
 use std::f64::consts::{FRAC_2_PI, TAU};
 

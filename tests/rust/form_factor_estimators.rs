@@ -1,5 +1,5 @@
-//! Monte Carlo and hemicube: closed forms, error bars that mean what they say, the same bits every time; and the repair of row
-//! sums.
+//! Monte Carlo and hemicube: closed forms, error bars that mean what they say, the same bits every time; and the repair
+//! of row sums.
 
 use radiosity::assembly::balance::{balanced, balanced_exchange, reciprocity_error, remainder};
 use radiosity::assembly::{Estimator, FormFactors, Sampled, SampledOptions};
@@ -62,8 +62,8 @@ fn delta_form_factors_sum_to_one() {
         assert_eq!(cells, 3 * resolution * resolution);
         // 3 r^2 differences of numbers up to 1/4: an eps or so each, of either sign.
         assert_close(sum, 1.0, f64::EPSILON * f64::from(resolution * resolution));
-        // The midpoint rule: h^2 / 24 times second derivatives, which are at most 4 / pi each in x and y, and rounding of
-        // four terms over the area.
+        // The midpoint rule: h^2 / 24 times second derivatives, which are at most 4 / pi each in x and y, and rounding
+        // of four terms over the area.
         assert!(worst <= cell_area / 24.0 * 8.0 / std::f64::consts::PI + 1e-15 / cell_area, "{resolution}: {worst:e}");
     }
 }
@@ -84,15 +84,15 @@ fn the_error_of_the_hemicube_falls_with_resolution_and_with_points() {
         rows
     };
     let off = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>() / 12.0;
-    // Aliasing is what distinguishes resolutions at the same points. Cells on an edge fall to either side: for each doubling
-    // the error of a cell falls to a quarter while twice as many are on edges, of either sign: 2^-1.5, or 2^-1 were all of
-    // them of one sign. Three doublings leave at most an eighth; a quarter allows for the luck of an angle.
+    // Aliasing is what distinguishes resolutions at the same points. Cells on an edge fall to either side: for each
+    // doubling the error of a cell falls to a quarter while twice as many are on edges, of either sign: 2^-1.5, or 2^-1
+    // were all of them of one sign. Three doublings leave at most an eighth; a quarter allows for the luck of an angle.
     let fine = rows(5, 0);
     let aliasing = [0, 3].map(|resolution| off(&rows(resolution, 0), &fine));
     assert!(aliasing[1] < 0.25 * aliasing[0] && aliasing[0] < 0.1, "{aliasing:?}");
-    // At a fine resolution, proximity: a scrambled net of m points gains m^-0.5 at the least and m^-1.5 on smooth integrands;
-    // at an edge that two patches share it has a kink. Four times the points leave at most half, and 0.6 for the luck of one
-    // scramble, over the mean of 12 rows.
+    // At a fine resolution, proximity: a scrambled net of m points gains m^-0.5 at the least and m^-1.5 on smooth
+    // integrands; at an edge that two patches share it has a kink. Four times the points leave at most half, and 0.6
+    // for the luck of one scramble, over the mean of 12 rows.
     let exact = table(&dense(&scene, 1e-8, 0));
     let proximity = [0, 1, 2].map(|points| off(&rows(3, points), &exact));
     assert!(proximity[1] < 0.6 * proximity[0] && proximity[2] < 0.6 * proximity[1], "{proximity:?}");
@@ -110,7 +110,8 @@ fn both_meet_the_tolerance_with_something_in_the_way() {
         let table = table(&f);
         for i in 0..n {
             let off: f64 = (0..n).map(|j| (table[i * n + j] - exact[i * n + j]).abs()).sum();
-            // The estimate is the expectation of a sum of some 30 terms: 1.5 times that is about four of its deviations.
+            // The estimate is the expectation of a sum of some 30 terms: 1.5 times that is about four of its
+            // deviations.
             assert!(off <= 1.5 * tolerance + reference.error_estimate(), "{estimator:?}, row {i}: {off}");
         }
         // Every ray arrives at a front: it is a closed scene with its fronts inside.
@@ -128,7 +129,8 @@ fn both_meet_the_tolerance_with_something_in_the_way() {
 
 #[test]
 fn backs_receive_nothing_and_block() {
-    // A plate between two others, its back to the lower one: nothing gets through, and nobody receives what meets the back.
+    // A plate between two others, its back to the lower one: nothing gets through, and nobody receives what meets the
+    // back.
     let wall = plate(vec3(-4.0, -4.0, 0.5), vec3(9.0, 0.0, 0.0), vec3(0.0, 9.0, 0.0), 2);
     let scene = two_plates(1).and(&wall).scene();
     for estimator in BOTH {
@@ -207,8 +209,8 @@ fn the_hemicube_tells_the_error_of_a_product() {
     let off: Vec<f64> = image.iter().zip(&truth).map(|(a, b)| a - b).collect();
     assert!(total(&off) < total(&told) && total(&told) < 20.0 * total(&off), "{} of {}", total(&off), total(&told));
     let draws: Vec<f64> = (0..64).map(|draw| total(&f.sampling_error(&x, 1, draw).unwrap())).collect();
-    // Each is the root of a sum of n squares, known to 1 / sqrt(2 n) = 14 % even if all were equally large; 64 of them know
-    // their mean eight times better.
+    // Each is the root of a sum of n squares, known to 1 / sqrt(2 n) = 14 % even if all were equally large; 64 of them
+    // know their mean eight times better.
     assert_close(total(&draws) / 8.0, total(&told), 0.15 * total(&told));
 }
 
@@ -258,8 +260,8 @@ fn balancing_makes_row_sums_exact_and_keeps_reciprocity() {
 
 #[test]
 fn the_repair_is_the_least_change() {
-    // Any other symmetric change of the same rows is larger: a change Z with row sums of 0 is orthogonal to D in the metric
-    // 1 / w. Around a cycle of four, +1 -1 +1 -1 is such a change.
+    // Any other symmetric change of the same rows is larger: a change Z with row sums of 0 is orthogonal to D in the
+    // metric 1 / w. Around a cycle of four, +1 -1 +1 -1 is such a change.
     let random = Random::new(47);
     let n = 7;
     let exchange: Vec<f64> = (0..n * (n - 1) / 2).map(|_| random.between(0.1, 1.0)).collect();
