@@ -2,8 +2,9 @@
 //!
 //!   F_ij = 1/A_i  integral over A_i  integral over the hemisphere of  [w meets the front of j first]  cos / pi dw dA_i
 //!
-//! This is the double integral over areas of [`crate::form_factor`] with dw = cos_j dA_j / r^2 (Cohen & Wallace 1993). Occlusion needs no factor of its own: what a ray meets first is what receives it. A ray that meets the
-//! back of a patch is lost: it reaches nobody, and does not leave the scene either.
+//! This is the double integral over areas of [`crate::form_factor`] with dw = cos_j dA_j / r^2 (Cohen & Wallace 1993).
+//! Occlusion needs no factor of its own: what a ray meets first is what receives it. A ray that meets the back of a
+//! patch is lost: it reaches nobody, and does not leave the scene either.
 
 use crate::geometry::{Triangle, Vec3};
 use crate::scene::Scene;

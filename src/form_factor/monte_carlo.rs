@@ -3,7 +3,7 @@
 //!   F_ij ~ K_j / m,    standard error = sqrt(F_ij (1 - F_ij) / m)
 //!
 //! with m rays from uniform points of patch i, K_j of which meet the front of j first (Malley 1988; Cohen & Wallace
-//! 1993, section 4.4.5). Directions: a uniform point of the unit disk, lifted to the hemisphere, has the density cos /
+//! 1993). Directions: a uniform point of the unit disk, lifted to the hemisphere, has the density cos /
 //! pi (Nusselt 1928). The rays are independent, so that the counts are multinomial and their error needs no assumption;
 //! quasi-random rays would do better and could not tell by how much.
 //!
