@@ -52,6 +52,17 @@ class FormFactors:
         scene: Scene, tolerance: float, seed: int, memory: int, threads: int | None, progress: _Report | None
     ) -> FormFactors: ...
     @staticmethod
+    def sampled(
+        scene: Scene,
+        method: str,
+        tolerance: float,
+        seed: int,
+        memory: int,
+        threads: int | None,
+        progress: _Report | None,
+    ) -> FormFactors: ...
+    def balance(self, memory: int) -> tuple[FormFactors, float]: ...
+    @staticmethod
     def from_array(array: _Floats) -> FormFactors: ...
     @staticmethod
     def from_csr(start: _Ints, index: _Ints, value: _Floats) -> FormFactors: ...

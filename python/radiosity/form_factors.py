@@ -23,7 +23,14 @@ if TYPE_CHECKING:
     import scipy.sparse
     import scipy.sparse.linalg
 
-METHODS = ("auto", "analytic")
+METHODS = ("auto", "analytic", "monte_carlo", "hemicube")
+
+# What to do about a tolerance that was not met.
+_ADVICE = {
+    "analytic": "partly hidden patches are too large for it; subdivide the scene or ask for a looser tolerance",
+    "monte_carlo": 'a patch gets no more than 1,048,576 rays; ask for a looser tolerance or use method="analytic"',
+    "hemicube": 'a patch gets no more than 4,194,304 cells; ask for a looser tolerance or use method="analytic"',
+}
 
 
 def form_factor(polygon_a: Any, polygon_b: Any, tolerance: float = 1e-8) -> float:
@@ -81,27 +88,46 @@ def form_factors(
 
     Args:
         scene: the patches.
-        tolerance: bound on sum over j of abs(dF_ij) for every row i, in [1e-8, 1). Two hundredths of it go to the
-            unoccluded kernels; the visibility of partly hidden pairs is sampled by quasi-random segments until the
-            errors to be expected in the row add up to less than the rest (or 65,536 segments a pair are spent). What
-            was reached is ``.error_estimate``. No segments are cast where nothing can block.
-        method: ``"analytic"``, exact kernels times sampled visibility, stored densely; ``"auto"`` chooses.
-        seed: of the quasi-random segments. The result is the same for any number of threads.
+        tolerance: bound on sum over j of abs(dF_ij) for every row i, in [1e-8, 1). What was reached is
+            ``.error_estimate``.
+        method: ``"auto"`` chooses. The last two are for teaching, and as checks that share no formula with the first:
+
+            - ``"analytic"``: exact kernels times sampled visibility, reciprocity exact, stored densely. Two hundredths
+              of the tolerance go to the unoccluded kernels; the visibility of partly hidden pairs is sampled by
+              quasi-random segments until the errors to be expected in the row add up to less than the rest (or 65,536
+              segments a pair are spent). No segments are cast where nothing can block.
+            - ``"monte_carlo"``: random rays, cosine-distributed; F_ij is the fraction that meets the front of j first.
+              As many a patch as the expected row error, the sum over j of E abs(dF_ij), asks for, 1,024 to 1,048,576.
+              n patches seen alike need about 0.6 n / tolerance^2 of them.
+            - ``"hemicube"``: one ray through each cell of hemicubes over points of the patch. Resolution (16 to 512)
+              and number of points (1 to 256, quasi-random) are raised, whichever matters more, until half the
+              resolution (at other angles) and a quarter of the points (others) change the row by no more than the
+              tolerance together, or one evaluation would cast more than 4,194,304 rays. The first measures aliasing,
+              the second proximity and visibility.
+
+            Each row of the last two is an estimate for itself, stored sparsely: reciprocity, and with it the energy
+            audit of a solution, holds within the errors; row sums say nothing about them, as no ray is lost in a closed
+            scene.
+        seed: of the segments and rays. The result is the same for any number of threads.
         threads: None for all cores.
         progress: see :mod:`radiosity.progress`.
 
     Raises:
         ValueError: an unknown method, a tolerance out of range.
-        MemoryError: the dense exchange would not fit, with the estimate; nothing has been computed then.
+        MemoryError: the factors would not fit, with the estimate; the dense exchange is refused before any work, sparse
+            rows as soon as they outgrow the memory.
 
     Warns:
-        UserWarning: the tolerance was not met by 65,536 segments a pair.
+        UserWarning: the tolerance was not met by as many segments or rays as the method may cast.
+
+    Sources:
+        Malley 1988 (Monte Carlo); Cohen & Greenberg 1985 (hemicube); Baum, Rushmeier & Winget 1989 (its assumptions).
     """
     F = form_factors_as_reached(scene, tolerance, method, seed, threads, progress)
     if F.error_estimate > tolerance:
         warnings.warn(
             f"the row error of the form factors is about {F.error_estimate:.2g}, above the tolerance {tolerance:g}: "
-            "partly hidden patches are too large for it; subdivide the scene or ask for a looser tolerance",
+            f"{_ADVICE[F.method]}",
             UserWarning,
             stacklevel=2,
         )
@@ -116,11 +142,15 @@ def form_factors_as_reached(
         raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}")
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; the methods of form_factors are {METHODS}")
+    number, workers = seed_number(seed), thread_count(threads)
     with reporter(progress, "form factors") as report:
-        core = _core.FormFactors.dense(
-            scene._core, float(tolerance), seed_number(seed), available_bytes(), thread_count(threads), report
-        )
-    return FormFactors(core, scene)
+        if method in ("monte_carlo", "hemicube"):
+            core = _core.FormFactors.sampled(
+                scene._core, method, float(tolerance), number, available_bytes(), workers, report
+            )
+            return FormFactors(core, scene, method)
+        core = _core.FormFactors.dense(scene._core, float(tolerance), number, available_bytes(), workers, report)
+        return FormFactors(core, scene, "analytic")
 
 
 class FormFactors:
@@ -128,10 +158,16 @@ class FormFactors:
 
     scene: Scene
     """The scene that the factors belong to."""
+    method: str
+    """``"analytic"``, ``"monte_carlo"`` or ``"hemicube"``."""
+    balanced_by: float | None
+    """How far :meth:`balance` has moved the factors, the largest sum over j of abs(dF_ij); None if it has not."""
 
-    def __init__(self, core: _core.FormFactors, scene: Scene) -> None:
+    def __init__(self, core: _core.FormFactors, scene: Scene, method: str, balanced_by: float | None = None) -> None:
         self._core = core
         self.scene = scene
+        self.method = method
+        self.balanced_by = balanced_by
 
     def __repr__(self) -> str:
         return f"FormFactors({self.shape[0]} patches, {self.nbytes} bytes, row error about {self.error_estimate:.2g})"
@@ -153,7 +189,10 @@ class FormFactors:
 
     @cached_property
     def remainder(self) -> FloatArray:
-        """(n,) 1 - row sum: what leaves the scene. Never clipped: small negative values are the sampling error."""
+        """(n,) 1 - row sum: what leaves the scene, and for sampled rows also what meets backs.
+
+        Never clipped: small negative values are the sampling error.
+        """
         return read_only(self._core.remainder)
 
     @property
@@ -163,19 +202,51 @@ class FormFactors:
 
     @property
     def error_estimate(self) -> float:
-        """Estimate of max_i sum_j abs(dF_ij): the kernels' bound plus one standard error a sampled pair."""
+        """Estimate of max_i sum_j abs(dF_ij).
+
+        Analytic: the kernels' bound plus one standard error a sampled pair. Monte Carlo: the mean to be expected.
+        Hemicube: the change from half the resolution plus the change from a quarter of the points.
+        Balanced: that of the factors before, plus ``balanced_by``, which is a bound and mostly too high.
+        """
         return self._core.error_estimate
 
     @property
     def segments(self) -> int:
-        """Number of segments cast for visibility."""
+        """Number of segments cast for visibility, or of rays where a method uses rays."""
         return self._core.segments
 
     def reciprocity_error(self) -> float:
-        """The largest abs(A_i F_ij - A_j F_ji), relative to the largest A_i F_ij. Rounding only, by construction."""
+        """The largest abs(A_i F_ij - A_j F_ji), relative to the largest A_i F_ij.
+
+        Analytic: rounding only, by construction. Monte Carlo and hemicube: two errors of sampling.
+        """
         error = self._core.reciprocity_error()
         assert error is not None  # None is for matrices without areas
         return error
+
+    def balance(self) -> FormFactors:
+        """The factors of a closed scene moved so that every row sums to 1, with reciprocity as exact as before.
+
+        Of all symmetric changes of the pairs that see each other, the one with the least sum of squared relative
+        changes. How far it went is ``.balanced_by`` of the result; a scene that needs more than a few row errors is not
+        closed. It makes the energy audit of a closed scene exact, not the single factors: errors that are spread
+        without a bias stay as they are.
+
+        Raises:
+            ValueError: an open scene, with the patch that shows it and its row sum; factors without exact reciprocity
+                (``"monte_carlo"``, ``"hemicube"``).
+            MemoryError: the second exchange would not fit.
+
+        Sources:
+            van Leersum 1989; Lawson 1995; Vercammen & Froment 1980; Daun, Morton & Howell 2005.
+        """
+        if self.method != "analytic":
+            raise ValueError(
+                f"balance keeps reciprocity, and the rows of {self.method!r} are sampled without it; "
+                'use form_factors(..., method="analytic")'
+            )
+        core, moved = self._core.balance(available_bytes())
+        return FormFactors(core, self.scene, self.method, moved)
 
     def __matmul__(self, x: Any) -> FloatArray:
         """F @ x for x of shape (n,) or (n, k): the irradiance that the radiosities x cause."""
@@ -209,12 +280,18 @@ class FormFactors:
         """SciPy ``LinearOperator`` of shape (n, n) with products from both sides. Needs the extra ``scipy``."""
         import scipy.sparse.linalg
 
-        # Reciprocity gives the transpose for free: F^T = A F A^-1.
+        # Reciprocity gives the transpose for free: F^T = A F A^-1. Sampled rows have it only nearly.
         areas = self.areas
+        transpose = None if self.method == "analytic" else self.tocsr().T.tocsr()
+
+        def rmatvec(x: FloatArray) -> FloatArray:
+            vector = x.reshape(-1)
+            return areas * (self @ (vector / areas)) if transpose is None else np.asarray(transpose @ vector)
+
         return scipy.sparse.linalg.LinearOperator(
             shape=self.shape,
             dtype=np.float64,
             matvec=lambda x: self @ x.reshape(-1),
-            rmatvec=lambda x: areas * (self @ (x.reshape(-1) / areas)),
+            rmatvec=rmatvec,
             matmat=lambda x: self @ x,
         )

@@ -186,6 +186,16 @@ impl Dense {
     fn partners(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         self.lower(i).iter().copied().enumerate().chain((i + 1..).zip(self.upper(i)))
     }
+
+    /// The packed triangle of G: the i entries G_i0 .. G_i,i-1 of every row i, m^2.
+    pub(super) fn exchange(&self) -> &[f64] {
+        &self.exchange
+    }
+
+    /// The same operator with another exchange, whose rows are off by no more than `error_estimate`.
+    pub(super) fn with_exchange(&self, exchange: Vec<f64>, error_estimate: f64) -> Dense {
+        Dense { exchange, error_estimate, ..self.clone() }
+    }
 }
 
 impl FormFactors for Dense {

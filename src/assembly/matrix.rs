@@ -125,6 +125,11 @@ impl SparseMatrix {
         let columns = rows.transposed();
         Ok(SparseMatrix { rows, columns })
     }
+
+    /// The entries of row i, and the place of the first of them among those of all rows.
+    pub(super) fn entries(&self, i: usize) -> (usize, impl Iterator<Item = (usize, f64)> + '_) {
+        (self.rows.start[i], self.rows.row(i))
+    }
 }
 
 impl FormFactors for SparseMatrix {

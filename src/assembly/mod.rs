@@ -2,13 +2,16 @@
 //!
 //! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply
 //! - [`dense`]: the symmetric exchange of every pair, occluded, stored once
+//! - [`sampled`]: rows by Monte Carlo or hemicube, stored sparsely
 //! - [`matrix`]: matrices that the user brings, dense or sparse
-//! - [`balance`]: row sums, remainder, reciprocity
+//! - [`balance`]: row sums, remainder, reciprocity, and the repair of the first
 
 pub mod balance;
 pub mod dense;
 pub mod matrix;
 pub mod operator;
+pub mod sampled;
 
 pub use dense::{Dense, DenseOptions};
 pub use operator::FormFactors;
+pub use sampled::{Estimator, Sampled, SampledOptions};

@@ -12,7 +12,8 @@ pub trait FormFactors: Send + Sync {
         self.len() == 0
     }
 
-    /// Patch areas A, m^2, where they are known. With them the operator obeys A_i F_ij = A_j F_ji.
+    /// Patch areas A, m^2, where they are known. With them the operator obeys A_i F_ij = A_j F_ji: exactly where it is
+    /// stored so, within the error of sampling where every row was sampled for itself.
     fn areas(&self) -> Option<&[f64]>;
 
     /// The irradiance of patch i: out_b = sum over j of F_ij x_jb.

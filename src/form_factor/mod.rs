@@ -4,7 +4,7 @@
 //!
 //!   F_ij = 1/A_i  integral over A_i  integral over A_j  V K dA_j dA_i,    K = cos_i cos_j / (pi r^2)
 //!
-//! Row i emits, column j receives. All files of this folder compute the symmetric exchange G_ij = A_i F_ij = A_j F_ji,
+//! Row i emits, column j receives. The kernels compute the symmetric exchange G_ij = A_i F_ij = A_j F_ji,
 //! m^2, once per unordered pair: reciprocity is exact because both factors come from the same number.
 //!
 //! | file | kernel | good for |
@@ -16,6 +16,14 @@
 //! | [`pieces`] | cut polygons, where no kernel can do the whole | slivers, very unequal sizes |
 //! | [`batch`] | many pairs, eight at a time | |
 //! | [`occluded`] | the visible fraction V of a pair | |
+//!
+//! Two older estimators work row by row instead, occlusion included, with a sampling error in every entry; both send
+//! out rays from an [`emitter`]:
+//!
+//! | file | estimator | good for |
+//! |---|---|---|
+//! | [`monte_carlo`] | cosine-distributed random rays | an independent check with an error that needs no assumption |
+//! | [`hemicube`] | one ray through each cell of half a cube | the classic, and its three assumptions |
 //!
 //! # Example
 //! ```
@@ -33,6 +41,9 @@
 pub mod area_quadrature;
 pub mod batch;
 pub mod contour;
+pub mod emitter;
+pub mod hemicube;
+pub mod monte_carlo;
 pub mod occluded;
 mod pieces;
 pub mod point_to_polygon;

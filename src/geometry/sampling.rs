@@ -1,4 +1,4 @@
-//! Quasi-random points: Owen-scrambled Sobol sequences in four dimensions, and their map to triangles.
+//! Sample points: Owen-scrambled Sobol sequences in four dimensions, pseudo-random numbers, and the map to triangles.
 //!
 //! Sobol 1967 with the direction numbers of Joe & Kuo 2008; nested uniform scrambling (Owen 1995) by hashing
 //! (Laine & Karras 2011, constants of Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020).
@@ -49,12 +49,36 @@ const fn directions() -> [[u32; 32]; DIMENSIONS] {
     v
 }
 
+/// 2^64 over the golden ratio, odd: the step of splitmix64.
+const GOLDEN_GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
+
 /// A well mixed 64-bit hash (the finaliser of splitmix64, Steele, Lea & Flood 2014).
 pub fn hash(x: u64) -> u64 {
-    let mut z = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let mut z = x.wrapping_add(GOLDEN_GAMMA);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     z ^ (z >> 31)
+}
+
+/// Pseudo-random numbers: splitmix64 (Steele, Lea & Flood 2014), for where independence matters more than evenness.
+#[derive(Debug, Clone)]
+pub struct Random {
+    state: u64,
+}
+
+impl Random {
+    /// The sequence that belongs to `seed`.
+    pub fn new(seed: u64) -> Random {
+        Random { state: seed }
+    }
+
+    /// The next number, uniform in [0, 1): a multiple of 2^-53.
+    #[inline]
+    pub fn uniform(&mut self) -> f64 {
+        let bits = hash(self.state);
+        self.state = self.state.wrapping_add(GOLDEN_GAMMA);
+        (bits >> 11) as f64 / 9_007_199_254_740_992.0
+    }
 }
 
 /// An Owen-scrambled Sobol sequence in four dimensions.

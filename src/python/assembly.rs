@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
-use pyo3::exceptions::PyIndexError;
+use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 
 use super::convert::{table, values, vector};
@@ -11,18 +11,28 @@ use super::error::to_python;
 use super::run::{in_pool, run};
 use super::scene::Scene;
 use crate::assembly::matrix::{DenseMatrix, SparseMatrix};
-use crate::assembly::{Dense, DenseOptions, FormFactors as Operator, balance};
+use crate::assembly::{Dense, DenseOptions, Estimator, FormFactors as Operator, Sampled, SampledOptions, balance};
+use crate::progress::Progress;
 
 #[pyclass(frozen, module = "radiosity._core")]
 pub(super) struct FormFactors {
     pub(super) operator: Arc<dyn Operator>,
+    /// The same once more where it is dense: what can be balanced.
+    dense: Option<Arc<Dense>>,
     error_estimate: f64,
     segments: u64,
 }
 
 impl FormFactors {
     fn brought(operator: impl Operator + 'static) -> FormFactors {
-        FormFactors { operator: Arc::new(operator), error_estimate: 0.0, segments: 0 }
+        FormFactors { operator: Arc::new(operator), dense: None, error_estimate: 0.0, segments: 0 }
+    }
+
+    fn of_dense(dense: Dense) -> FormFactors {
+        let (error_estimate, segments) = (dense.error_estimate(), dense.segments());
+        let dense = Arc::new(dense);
+        let operator: Arc<dyn Operator> = dense.clone();
+        FormFactors { operator, dense: Some(dense), error_estimate, segments }
     }
 }
 
@@ -43,8 +53,44 @@ impl FormFactors {
         let scene = Arc::clone(&scene.scene);
         let options = DenseOptions { tolerance, seed, memory };
         let dense = run(py, threads, progress.as_ref(), move |progress| Dense::new(&scene, options, progress))?;
-        let (error_estimate, segments) = (dense.error_estimate(), dense.segments());
-        Ok(FormFactors { operator: Arc::new(dense), error_estimate, segments })
+        Ok(FormFactors::of_dense(dense))
+    }
+
+    /// The operator of a scene whose rows are sampled by `method`, "monte_carlo" or "hemicube".
+    #[staticmethod]
+    #[pyo3(signature = (scene, method, tolerance, seed, memory, threads, progress))]
+    #[expect(clippy::too_many_arguments, reason = "one for each argument of the Python function")]
+    fn sampled(
+        py: Python<'_>,
+        scene: &Scene,
+        method: &str,
+        tolerance: f64,
+        seed: u64,
+        memory: u64,
+        threads: Option<usize>,
+        progress: Option<Bound<'_, PyAny>>,
+    ) -> PyResult<FormFactors> {
+        let scene = Arc::clone(&scene.scene);
+        let estimator = match method {
+            "monte_carlo" => Estimator::MonteCarlo,
+            "hemicube" => Estimator::Hemicube,
+            _ => return Err(PyValueError::new_err(format!("unknown method {method:?}"))),
+        };
+        let options = SampledOptions { tolerance, seed, memory };
+        let work = move |progress: &Progress| Sampled::new(&scene, estimator, options, progress);
+        let sampled = run(py, threads, progress.as_ref(), work)?;
+        let (error_estimate, segments) = (sampled.error_estimate(), sampled.rays());
+        Ok(FormFactors { operator: Arc::new(sampled), dense: None, error_estimate, segments })
+    }
+
+    /// The same with row sums of 1, and the largest change of a row.
+    fn balance(&self, py: Python<'_>, memory: u64) -> PyResult<(FormFactors, f64)> {
+        let Some(dense) = self.dense.clone() else {
+            return Err(PyValueError::new_err("only factors with exact reciprocity can be balanced"));
+        };
+        let work = move |progress: &Progress| balance::balanced(&dense, memory, progress);
+        let (dense, moved) = run(py, None, None, work)?;
+        Ok((FormFactors::of_dense(dense), moved))
     }
 
     /// An (n, n) array that the user brings.

@@ -7,6 +7,7 @@
 mod assembly;
 mod common;
 mod form_factor;
+mod form_factor_estimators;
 mod geometry;
 mod render;
 mod scene;
