@@ -148,7 +148,7 @@ impl Shadows {
             return all;
         }
         let fan: Vec<Triangle> = (2..source.len()).map(|k| [source[0], source[k - 1], source[k]]).collect();
-        let whole = fan.iter().map(|t| area(t)).sum();
+        let whole: f64 = fan.iter().map(area).sum();
         let mut cells: BinaryHeap<Cell> = self.look(&fan, whole, from.normal, &target, &solids)?.into();
         let total: f64 = cells.iter().map(|cell| cell.all).sum();
         if !(total > 0.0) {
@@ -175,6 +175,7 @@ impl Shadows {
     fn look(
         &mut self,
         triangles: &[Triangle],
+        whole: f64,
         normal: Vec3,
         target: &[Vec3],
         solids: &[Cow<Body>],

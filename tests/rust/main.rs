@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that panics has failed")]
 
 mod assembly;
+mod bodies;
 mod common;
 mod form_factor;
 mod form_factor_estimators;
