@@ -26,7 +26,7 @@ use crate::simd::{Instructions, Machine, for_every_machine};
 use crate::visibility::bodies::{Body, Edge};
 
 /// The rule that counts, and the one that it is compared with.
-const RULES: [TriangleRule; 2] = [TriangleRule::P12, TriangleRule::P6];
+const RULES: [TriangleRule; 2] = [TriangleRule::P6, TriangleRule::P3];
 /// Triangles that one patch may be cut into.
 const MOST_CELLS: usize = 16_384;
 /// Intersections of shadows that are looked at from one point before rays are the better answer.
@@ -72,10 +72,10 @@ struct Side {
     r1: Vec3,
     /// Points into the cone.
     inward: Vec3,
-    /// FLAT x its length.
-    flat: f64,
-    /// Lengths of r0 and r1.
-    lengths: [f64; 2],
+    /// (FLAT x its length)^2.
+    flat2: f64,
+    /// Squared lengths of r0 and r1.
+    lengths2: [f64; 2],
 }
 
 /// A part of an edge, to be summed.
@@ -116,6 +116,15 @@ impl Ord for Cell {
     }
 }
 
+impl Side {
+    /// How far a direction lies inside, up to a factor; exactly 0 when it cannot be told from 0.
+    #[inline(always)]
+    fn distance(&self, r: Vec3, length2: f64) -> f64 {
+        let f = self.inward.dot(r);
+        if f * f <= self.flat2 * length2 { 0.0 } else { f }
+    }
+}
+
 impl Default for Shadows {
     fn default() -> Shadows {
         Shadows {
@@ -147,6 +156,9 @@ impl Shadows {
         if source.len() < 3 || target.len() < 3 {
             return all;
         }
+        if solids.iter().any(|solid| self.hides_all(&source, &target, solid)) {
+            return Some(Visible { fraction: 0.0, error: 0.0 });
+        }
         let fan: Vec<Triangle> = (2..source.len()).map(|k| [source[0], source[k - 1], source[k]]).collect();
         let whole: f64 = fan.iter().map(area).sum();
         let mut cells: BinaryHeap<Cell> = self.look(&fan, whole, from.normal, &target, &solids)?.into();
@@ -169,6 +181,20 @@ impl Shadows {
         let cells = cells.into_vec();
         let (hidden, all) = cells.iter().fold((0.0, 0.0), |(hidden, all), c| (hidden + c.hidden, all + c.all));
         Some(Visible { fraction: (1.0 - hidden / all).clamp(0.0, 1.0), error: error.max(0.0) / all })
+    }
+
+    /// Whether a body hides all of the target from all of the source. The points from which one point is hidden make a convex
+    /// set, and so do the points hidden from one: what holds for the corners holds for all.
+    fn hides_all(&mut self, source: &[Vec3], target: &[Vec3], solid: &Body) -> bool {
+        source.iter().all(|&x| {
+            self.sides.clear();
+            let outside = self.push_silhouette(x, solid);
+            let hides = |y: &Vec3| {
+                let r = *y - x;
+                self.sides.iter().all(|side| side.distance(r, r.length_squared()) >= 0.0)
+            };
+            outside && !self.sides.is_empty() && target.iter().all(hides)
+        })
     }
 
     /// What the points of each triangle see of the target, and what is hidden.
@@ -265,7 +291,8 @@ impl Shadows {
 
     fn push_side(&mut self, r0: Vec3, r1: Vec3) {
         let inward = r1.cross(r0);
-        self.sides.push(Side { r0, r1, inward, flat: FLAT * inward.length(), lengths: [r0.length(), r1.length()] });
+        let flat2 = FLAT * FLAT * inward.length_squared();
+        self.sides.push(Side { r0, r1, inward, flat2, lengths2: [r0.length_squared(), r1.length_squared()] });
     }
 
     /// Adds the sides of a body's shadow: none for a sheet seen edge on. False when x lies inside the body, or on its border
@@ -322,11 +349,8 @@ impl Shadows {
                 for (o, &other) in self.members.iter().enumerate().filter(|(o, _)| *o != m) {
                     let Cone { first, end } = self.cones[other];
                     for plane in &self.sides[first..end] {
-                        let snapped = |r: Vec3, length: f64| {
-                            let f = plane.inward.dot(r);
-                            if f.abs() <= plane.flat * length { 0.0 } else { f }
-                        };
-                        let (f0, f1) = (snapped(side.r0, side.lengths[0]), snapped(side.r1, side.lengths[1]));
+                        let f0 = plane.distance(side.r0, side.lengths2[0]);
+                        let f1 = plane.distance(side.r1, side.lengths2[1]);
                         if f0 > 0.0 && f1 > 0.0 {
                             continue;
                         }

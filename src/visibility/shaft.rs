@@ -7,6 +7,8 @@
 //! on one side. A body outside any of them blocks nothing, nor does one that has all six corners in front of one of its
 //! faces. The test is conservative: it may fail to prove, never prove wrongly.
 
+use std::cell::OnceCell;
+
 use super::bodies::Body;
 use crate::geometry::polygon::{Plane, area_vector, centre};
 use crate::geometry::{Triangle, Vec3};
@@ -23,6 +25,8 @@ pub struct Shaft {
     radius: f64,
     /// Room for rounding. What stands out of a patch's plane by less lies in the plane.
     slack: f64,
+    /// The walls of the hull, their normals inward; known once they have been asked for.
+    walls: OnceCell<Vec<Plane>>,
 }
 
 impl Shaft {
@@ -45,6 +49,7 @@ impl Shaft {
             axis_squared: (end - start).length_squared(),
             radius: radius_of(a, start).max(radius_of(b, end)) + slack,
             slack,
+            walls: OnceCell::new(),
         }
     }
 
@@ -80,28 +85,28 @@ impl Shaft {
         if body.faces.iter().any(|face| self.corners.iter().all(|x| face.distance(*x) >= -self.slack)) {
             return false;
         }
-        !self.walls().any(|wall| outside(&wall))
+        !self.walls.get_or_init(|| walls(&self.corners, self.slack)).iter().any(outside)
     }
+}
 
-    /// The walls of the hull, their normals inward.
-    fn walls(&self) -> impl Iterator<Item = Plane> + '_ {
-        let edges = [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3)];
-        edges.into_iter().flat_map(move |(p, q)| {
-            let others = if p < 3 { 3..6 } else { 0..3 };
-            others.filter_map(move |r| {
-                let point = self.corners[p];
-                let normal = (self.corners[q] - point).cross(self.corners[r] - point).normalize_or_zero();
-                let plane = Plane { normal, point };
-                let distances = self.corners.map(|x| plane.distance(x));
-                let (least, most) = distances.iter().fold((0.0f64, 0.0f64), |(l, m), d| (l.min(*d), m.max(*d)));
-                if normal == Vec3::ZERO || (least < -self.slack && most > self.slack) {
-                    None
-                } else if most > self.slack {
-                    Some(plane)
-                } else {
-                    Some(Plane { normal: -normal, point })
-                }
-            })
-        })
+/// The planes through an edge of one triangle and a corner of the other that have all six corners on one side.
+fn walls(corners: &[Vec3; 6], slack: f64) -> Vec<Plane> {
+    let mut walls = Vec::with_capacity(8);
+    for (p, q) in [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3)] {
+        for r in if p < 3 { 3..6 } else { 0..3 } {
+            let point = corners[p];
+            let normal = (corners[q] - point).cross(corners[r] - point).normalize_or_zero();
+            let (mut least, mut most) = (0.0f64, 0.0f64);
+            for x in corners {
+                let d = normal.dot(*x - point);
+                (least, most) = (least.min(d), most.max(d));
+            }
+            if least >= -slack && most > slack {
+                walls.push(Plane { normal, point });
+            } else if most <= slack && least < -slack {
+                walls.push(Plane { normal: -normal, point });
+            }
+        }
     }
+    walls
 }
