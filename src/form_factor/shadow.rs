@@ -9,8 +9,8 @@
 //!   H(x) = sum over S of F_x(P n S) - sum over S < T of F_x(P n S n T) + ...
 //!
 //! H is continuous in x, with kinks where a corner of a silhouette crosses an edge of P. Its mean over the other patch is
-//! taken by two triangle rules of different degree; where they differ most, the triangle is quartered, until the differences
-//! add up to what was asked. After Nishita & Nakamae 1985 (shadow volumes of convex polyhedra) and Walton 1987 (projected
+//! taken by a triangle rule and compared with two coarser ones on the same points; where they differ most, the triangle is
+//! quartered, until the differences add up to what was asked. After Nishita & Nakamae 1985 (shadow volumes of convex polyhedra) and Walton 1987 (projected
 //! obstructions subtracted from the view).
 
 use std::borrow::Cow;
@@ -19,23 +19,51 @@ use std::collections::BinaryHeap;
 use super::Patch;
 use super::point_to_polygon::edge_term;
 use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
-use crate::geometry::quadrature::{TrianglePoint, TriangleRule};
+use crate::geometry::quadrature::TrianglePoint;
 use crate::geometry::{Triangle, Vec3};
 use crate::simd::double::{Double, LANES, Vectors};
 use crate::simd::{Instructions, Machine, for_every_machine};
 use crate::visibility::bodies::{Body, Edge};
 
-/// The rule that counts, and the one that it is compared with.
-const RULES: [TriangleRule; 2] = [TriangleRule::P6, TriangleRule::P3];
+/// Points of a triangle that leave no part of it unseen: near the corners, near the middles of the edges, the centroid. A
+/// shadow that does not reach the whole triangle reaches its border, since the points that see one are a convex set.
+///
+/// Weights for the three orbits that make a rule of degree 3, and, to compare it with, two of degree 2 from two orbits
+/// each: solutions of the moment equations (one unknown a weight; the tests hold them against the moments).
+pub const POINTS: [TrianglePoint; 7] = {
+    const NEAR: f64 = 0.01;
+    const FAR: f64 = 1.0 - 2.0 * NEAR;
+    const HALF: f64 = 0.5 * (1.0 - NEAR);
+    const THIRD: f64 = 1.0 / 3.0;
+    const CORNER: f64 = 0.053_871_065_175_223_4;
+    const MIDDLE: f64 = 0.138_786_472_993_795_87;
+    [
+        TrianglePoint { barycentric: [FAR, NEAR, NEAR], weight: CORNER },
+        TrianglePoint { barycentric: [NEAR, FAR, NEAR], weight: CORNER },
+        TrianglePoint { barycentric: [NEAR, NEAR, FAR], weight: CORNER },
+        TrianglePoint { barycentric: [HALF, HALF, NEAR], weight: MIDDLE },
+        TrianglePoint { barycentric: [NEAR, HALF, HALF], weight: MIDDLE },
+        TrianglePoint { barycentric: [HALF, NEAR, HALF], weight: MIDDLE },
+        TrianglePoint { barycentric: [THIRD; 3], weight: 0.422_027_385_492_942_16 },
+    ]
+};
+/// Weights of the corner points, of the middle points, and of the centroid.
+pub const COARSE: [[f64; 3]; 2] = [
+    [0.088_567_683_423_672_37, 0.0, 0.734_296_949_728_982_9],
+    [0.0, 0.354_270_733_694_689_5, -0.062_812_201_084_068_44],
+];
 /// Triangles that one patch may be cut into.
 const MOST_CELLS: usize = 16_384;
 /// Intersections of shadows that are looked at from one point before rays are the better answer.
 const MOST_OVERLAPS: usize = 64;
 /// The sine of an angle that counts as none: an edge so near to a plane through x lies in it.
 const FLAT: f64 = 1e-11;
-/// What may hide in a triangle of which every point sees all or nothing: the corners beyond the outermost points, about
-/// 1 % of it, and there a rising part of the view.
+/// What may hide in a triangle of which every point sees all, or nothing: between the points near its border, or beyond.
 const UNSEEN: f64 = 2e-4;
+
+/// The error of the rule where a kink crosses a triangle, relative to [`bend`]: the two differences of a cell may be small
+/// by chance, and among some ten thousand cells some are.
+const KINK: f64 = 0.1;
 
 /// The fraction of the exchange of a pair that is visible, and an estimate of its error.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -83,7 +111,8 @@ struct Side {
 struct Term {
     r0: Vec3,
     r1: Vec3,
-    weight: f64,
+    /// 1, or -1 for what has been counted twice.
+    sign: f64,
     slot: u32,
 }
 
@@ -208,31 +237,41 @@ impl Shadows {
     ) -> Option<Vec<Cell>> {
         self.terms.clear();
         self.sums.clear();
-        self.sums.resize(triangles.len() * 2 * RULES.len(), 0.0);
+        self.sums.resize(2 * triangles.len() * POINTS.len(), 0.0);
         // Of every triangle: whether a point saw something hidden, and whether one saw something at all.
         let mut mixed = vec![[false; 2]; triangles.len()];
         for (k, triangle) in triangles.iter().enumerate() {
-            let area = area(triangle);
-            for (r, rule) in RULES.iter().enumerate() {
-                let slot = (2 * (k * RULES.len() + r)) as u32;
-                for TrianglePoint { barycentric: [u, v, w], weight } in rule.points() {
-                    let x = *u * triangle[0] + *v * triangle[1] + *w * triangle[2];
-                    let [hides, shows] = self.look_from(x, target, solids, weight * area, slot)?;
-                    mixed[k][0] |= hides;
-                    mixed[k][1] |= shows;
-                }
+            for (p, TrianglePoint { barycentric: [u, v, w], .. }) in POINTS.iter().enumerate() {
+                let x = *u * triangle[0] + *v * triangle[1] + *w * triangle[2];
+                let slot = 2 * (k * POINTS.len() + p) as u32;
+                let [hides, shows] = self.look_from(x, target, solids, slot)?;
+                mixed[k][0] |= hides;
+                mixed[k][1] |= shows;
             }
         }
         sum_terms(self.instructions, &self.terms, normal, &mut self.sums);
-        let sums = self.sums.chunks_exact(2 * RULES.len());
+        let sums = self.sums.chunks_exact(2 * POINTS.len());
         let cells = triangles.iter().zip(sums).zip(mixed).map(|((&triangle, sums), [hides, shows])| {
-            let (hidden, all) = (sums[1], sums[0]);
-            let (coarse_hidden, coarse_all) = (sums[3], sums[2]);
-            // As fractions: where the view itself changes fast, both change together.
-            let coarse = if coarse_all > 0.0 { coarse_hidden * (all / coarse_all) } else { 0.0 };
-            // The smaller the triangle, the less can hide in its corners.
-            let unseen = UNSEEN * (area(&triangle) / whole).sqrt() * all.abs();
-            let error = if hides && shows { (hidden - coarse).abs() } else { unseen };
+            let area = area(&triangle);
+            // Sums of what is seen and of what is hidden.
+            let by = |weights: [f64; 3]| {
+                [0, 1].map(|which| {
+                    let orbit = |points: std::ops::Range<usize>| points.map(|p| sums[2 * p + which]).sum::<f64>();
+                    area * (weights[0] * orbit(0..3) + weights[1] * orbit(3..6) + weights[2] * orbit(6..7))
+                })
+            };
+            let [all, hidden] = by([POINTS[0].weight, POINTS[3].weight, POINTS[6].weight]);
+            let error = if hides && shows {
+                let difference = |weights: [f64; 3]| {
+                    let [coarse_all, coarse] = by(weights);
+                    // As fractions: where the view itself changes fast, both change together.
+                    (hidden - if coarse_all > 0.0 { coarse * (all / coarse_all) } else { 0.0 }).abs()
+                };
+                difference(COARSE[0]).max(difference(COARSE[1])).max(KINK * bend(sums) * all)
+            } else {
+                // The smaller the triangle, the less can hide in it.
+                UNSEEN * (area / whole).sqrt() * all.abs()
+            };
             Cell { triangle, hidden, all, error }
         });
         Some(cells.collect())
@@ -240,14 +279,7 @@ impl Shadows {
 
     /// Adds what x sees to `slot` and what is hidden of it to the next; tells whether anything is hidden, and whether
     /// anything is not.
-    fn look_from(
-        &mut self,
-        x: Vec3,
-        target: &[Vec3],
-        solids: &[Cow<Body>],
-        weight: f64,
-        slot: u32,
-    ) -> Option<[bool; 2]> {
+    fn look_from(&mut self, x: Vec3, target: &[Vec3], solids: &[Cow<Body>], slot: u32) -> Option<[bool; 2]> {
         self.cones.clear();
         self.sides.clear();
         for k in 0..target.len() {
@@ -255,13 +287,13 @@ impl Shadows {
         }
         self.cones.push(Cone { first: 0, end: self.sides.len() });
         for side in &self.sides {
-            self.terms.push(Term { r0: side.r0, r1: side.r1, weight, slot });
+            self.terms.push(Term { r0: side.r0, r1: side.r1, sign: 1.0, slot });
         }
         let hidden_from = self.terms.len();
         for solid in solids {
             let first = self.sides.len();
             if !self.push_silhouette(x, solid) {
-                self.hide_all(weight, slot + 1);
+                self.hide_all(slot + 1);
                 return Some([true, false]);
             }
             if self.sides.len() > first {
@@ -272,20 +304,20 @@ impl Shadows {
         self.members.clear();
         self.members.push(0);
         for k in 1..self.cones.len() {
-            if self.overlap(k, weight, slot + 1)? {
+            if self.overlap(k, 1.0, slot + 1)? {
                 // Nothing is left to be hidden by others.
                 self.terms.truncate(hidden_from);
-                self.hide_all(weight, slot + 1);
+                self.hide_all(slot + 1);
                 return Some([true, false]);
             }
         }
         Some([self.terms.len() > hidden_from, true])
     }
 
-    fn hide_all(&mut self, weight: f64, slot: u32) {
+    fn hide_all(&mut self, slot: u32) {
         for k in 0..self.cones[0].end {
             let Side { r0, r1, .. } = self.sides[k];
-            self.terms.push(Term { r0, r1, weight, slot });
+            self.terms.push(Term { r0, r1, sign: 1.0, slot });
         }
     }
 
@@ -319,18 +351,18 @@ impl Shadows {
 
     /// Adds what cone k has in common with the members, and with every further cone; tells whether it covers the first
     /// member, the target, all by itself.
-    fn overlap(&mut self, k: usize, weight: f64, slot: u32) -> Option<bool> {
+    fn overlap(&mut self, k: usize, sign: f64, slot: u32) -> Option<bool> {
         self.overlaps += 1;
         if self.overlaps > MOST_OVERLAPS {
             return None;
         }
         self.members.push(k);
         let before = self.terms.len();
-        let whole = self.push_border(weight, slot);
+        let whole = self.push_border(sign, slot);
         let alone = self.members.len() == 2;
         if self.terms.len() > before && !(alone && whole) {
             for next in k + 1..self.cones.len() {
-                self.overlap(next, -weight, slot)?;
+                self.overlap(next, -sign, slot)?;
             }
         }
         self.members.pop();
@@ -339,7 +371,7 @@ impl Shadows {
 
     /// Adds the border of what the members have in common: of every edge the part inside all other cones. Tells whether that
     /// is the first member as a whole.
-    fn push_border(&mut self, weight: f64, slot: u32) -> bool {
+    fn push_border(&mut self, sign: f64, slot: u32) -> bool {
         let mut whole = true;
         for (m, &member) in self.members.iter().enumerate() {
             let Cone { first, end } = self.cones[member];
@@ -382,7 +414,7 @@ impl Shadows {
                     let way = side.r1 - side.r0;
                     let r0 = if low > 0.0 { side.r0 + low * way } else { side.r0 };
                     let r1 = if high < 1.0 { side.r0 + high * way } else { side.r1 };
-                    self.terms.push(Term { r0, r1, weight, slot });
+                    self.terms.push(Term { r0, r1, sign, slot });
                 }
             }
         }
@@ -492,18 +524,28 @@ fn in_front(body: &Body, plane: &Plane) -> Option<Option<Body>> {
     Some(Some(Body { faces, edges, low, high }))
 }
 
+/// How far the hidden fractions at corners and middles are from a linear function, in what symmetric rules cannot see: for
+/// one, the middle of an edge falls below the mean by half as much as the corner across rises above it.
+fn bend(sums: &[f64]) -> f64 {
+    let fraction = |p: usize| if sums[2 * p] > 0.0 { sums[2 * p + 1] / sums[2 * p] } else { 0.0 };
+    let (corners, middles) = ([0, 1, 2].map(fraction), [4, 5, 3].map(fraction));
+    let mean = |values: [f64; 3]| values.iter().sum::<f64>() / 3.0;
+    let off = |k: usize| middles[k] - mean(middles) + 0.5 * (corners[k] - mean(corners));
+    ((off(0).powi(2) + off(1).powi(2) + off(2).powi(2)) / 3.0).sqrt()
+}
+
 #[inline(always)]
 fn sum_kernel<M: Machine>(terms: &[Term], normal: Vec3, sums: &mut [f64]) {
     let normal = Vectors::<M::Double>::splat(normal);
     for group in terms.chunks(LANES) {
-        let (mut starts, mut ends, mut weights) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3], [0.0; LANES]);
+        let (mut starts, mut ends, mut signs) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3], [0.0; LANES]);
         for (lane, term) in group.iter().enumerate() {
             (starts[0][lane], starts[1][lane], starts[2][lane]) = (term.r0.x, term.r0.y, term.r0.z);
             (ends[0][lane], ends[1][lane], ends[2][lane]) = (term.r1.x, term.r1.y, term.r1.z);
-            weights[lane] = term.weight;
+            signs[lane] = term.sign;
         }
         let term = edge_term(Vectors::load(&starts), Vectors::load(&ends), normal);
-        let parts = (term * M::Double::load(&weights)).to_array();
+        let parts = (term * M::Double::load(&signs)).to_array();
         for (lane, term) in group.iter().enumerate() {
             sums[term.slot as usize] += parts[lane];
         }
