@@ -1,6 +1,6 @@
 //! The part of a polygon that convex bodies hide from a point, exactly; and its mean over another polygon.
 //!
-//! Seen from x, a convex body hides a cone of directions, whose sides are the planes through x and its silhouette. The cone of
+//! Seen from x, a convex body hides a cone of directions, whose walls are the planes through x and its silhouette. The cone of
 //! a polygon P is of the same kind. The form factor of x to what several cones have in common is Lambert's sum over the
 //! border of the intersection (see [`super::point_to_polygon`]), and that border is made of the edges of each cone as far as
 //! they run inside all the others: no intersection has to be built. Shadows that overlap are counted once by inclusion and
@@ -18,12 +18,12 @@ use std::collections::BinaryHeap;
 
 use super::Patch;
 use super::point_to_polygon::edge_term;
-use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
+use crate::geometry::polygon::{Plane, Side, area_vector, clip_to_front};
 use crate::geometry::quadrature::TrianglePoint;
 use crate::geometry::{Triangle, Vec3};
 use crate::simd::double::{Double, LANES, Vectors};
 use crate::simd::{Instructions, Machine, for_every_machine};
-use crate::visibility::bodies::{Body, Edge};
+use crate::visibility::body::Body;
 
 /// Points of a triangle that leave no part of it unseen: near the corners, near the middles of the edges, the centroid. A
 /// shadow that does not reach the whole triangle reaches its border, since the points that see one are a convex set.
@@ -59,11 +59,14 @@ const MOST_OVERLAPS: usize = 64;
 /// The sine of an angle that counts as none: an edge so near to a plane through x lies in it.
 const FLAT: f64 = 1e-11;
 /// What may hide in a triangle of which every point sees all, or nothing: between the points near its border, or beyond.
-const UNSEEN: f64 = 2e-4;
+const UNSEEN: f64 = 1e-2;
 
 /// The error of the rule where a kink crosses a triangle, relative to [`bend`]: the two differences of a cell may be small
 /// by chance, and among some ten thousand cells some are.
 const KINK: f64 = 0.1;
+
+/// The rule is better than the coarse ones, but among many cells the worst counts.
+const SAFETY: f64 = 1.5;
 
 /// The fraction of the exchange of a pair that is visible, and an estimate of its error.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,7 +81,7 @@ pub struct Visible {
 pub struct Shadows {
     instructions: Instructions,
     cones: Vec<Cone>,
-    sides: Vec<Side>,
+    walls: Vec<Wall>,
     faces: Vec<bool>,
     terms: Vec<Term>,
     sums: Vec<f64>,
@@ -86,16 +89,16 @@ pub struct Shadows {
     overlaps: usize,
 }
 
-/// A convex cone with its apex in the point that looks: some of the sides, in turn.
+/// A convex cone with its apex in the point that looks: some of the walls, in turn.
 #[derive(Debug, Clone, Copy)]
 struct Cone {
     first: usize,
     end: usize,
 }
 
-/// A side of a cone: the triangle between the apex and an edge, which runs counter-clockwise around the cone.
+/// A wall of a cone: the triangle between the apex and an edge, which runs counter-clockwise around the cone.
 #[derive(Debug, Clone, Copy)]
-struct Side {
+struct Wall {
     r0: Vec3,
     r1: Vec3,
     /// Points into the cone.
@@ -145,7 +148,7 @@ impl Ord for Cell {
     }
 }
 
-impl Side {
+impl Wall {
     /// How far a direction lies inside, up to a factor; exactly 0 when it cannot be told from 0.
     #[inline(always)]
     fn distance(&self, r: Vec3, length2: f64) -> f64 {
@@ -159,7 +162,7 @@ impl Default for Shadows {
         Shadows {
             instructions: Instructions::best(),
             cones: Vec::new(),
-            sides: Vec::new(),
+            walls: Vec::new(),
             faces: Vec::new(),
             terms: Vec::new(),
             sums: Vec::new(),
@@ -216,13 +219,13 @@ impl Shadows {
     /// set, and so do the points hidden from one: what holds for the corners holds for all.
     fn hides_all(&mut self, source: &[Vec3], target: &[Vec3], solid: &Body) -> bool {
         source.iter().all(|&x| {
-            self.sides.clear();
+            self.walls.clear();
             let outside = self.push_silhouette(x, solid);
             let hides = |y: &Vec3| {
                 let r = *y - x;
-                self.sides.iter().all(|side| side.distance(r, r.length_squared()) >= 0.0)
+                self.walls.iter().all(|wall| wall.distance(r, r.length_squared()) >= 0.0)
             };
-            outside && !self.sides.is_empty() && target.iter().all(hides)
+            outside && !self.walls.is_empty() && target.iter().all(hides)
         })
     }
 
@@ -267,7 +270,7 @@ impl Shadows {
                     // As fractions: where the view itself changes fast, both change together.
                     (hidden - if coarse_all > 0.0 { coarse * (all / coarse_all) } else { 0.0 }).abs()
                 };
-                difference(COARSE[0]).max(difference(COARSE[1])).max(KINK * bend(sums) * all)
+                SAFETY * difference(COARSE[0]).max(difference(COARSE[1])).max(KINK * bend(sums) * all)
             } else {
                 // The smaller the triangle, the less can hide in it.
                 UNSEEN * (area / whole).sqrt() * all.abs()
@@ -281,23 +284,23 @@ impl Shadows {
     /// anything is not.
     fn look_from(&mut self, x: Vec3, target: &[Vec3], solids: &[Cow<Body>], slot: u32) -> Option<[bool; 2]> {
         self.cones.clear();
-        self.sides.clear();
+        self.walls.clear();
         for k in 0..target.len() {
-            self.push_side(target[k] - x, target[(k + 1) % target.len()] - x);
+            self.push_wall(target[k] - x, target[(k + 1) % target.len()] - x);
         }
-        self.cones.push(Cone { first: 0, end: self.sides.len() });
-        for side in &self.sides {
-            self.terms.push(Term { r0: side.r0, r1: side.r1, sign: 1.0, slot });
+        self.cones.push(Cone { first: 0, end: self.walls.len() });
+        for wall in &self.walls {
+            self.terms.push(Term { r0: wall.r0, r1: wall.r1, sign: 1.0, slot });
         }
         let hidden_from = self.terms.len();
         for solid in solids {
-            let first = self.sides.len();
+            let first = self.walls.len();
             if !self.push_silhouette(x, solid) {
                 self.hide_all(slot + 1);
                 return Some([true, false]);
             }
-            if self.sides.len() > first {
-                self.cones.push(Cone { first, end: self.sides.len() });
+            if self.walls.len() > first {
+                self.cones.push(Cone { first, end: self.walls.len() });
             }
         }
         self.overlaps = 0;
@@ -316,33 +319,33 @@ impl Shadows {
 
     fn hide_all(&mut self, slot: u32) {
         for k in 0..self.cones[0].end {
-            let Side { r0, r1, .. } = self.sides[k];
+            let Wall { r0, r1, .. } = self.walls[k];
             self.terms.push(Term { r0, r1, sign: 1.0, slot });
         }
     }
 
-    fn push_side(&mut self, r0: Vec3, r1: Vec3) {
+    fn push_wall(&mut self, r0: Vec3, r1: Vec3) {
         let inward = r1.cross(r0);
         let flat2 = FLAT * FLAT * inward.length_squared();
-        self.sides.push(Side { r0, r1, inward, flat2, lengths2: [r0.length_squared(), r1.length_squared()] });
+        self.walls.push(Wall { r0, r1, inward, flat2, lengths2: [r0.length_squared(), r1.length_squared()] });
     }
 
-    /// Adds the sides of a body's shadow: none for a sheet seen edge on. False when x lies inside the body, or on its border
+    /// Adds the walls of a body's shadow: none for a sheet seen edge on. False when x lies inside the body, or on its border
     /// and looks into it.
     fn push_silhouette(&mut self, x: Vec3, body: &Body) -> bool {
-        let slack = slack(body);
+        let slack = body.slack();
         self.faces.clear();
         self.faces.extend(body.faces.iter().map(|face| face.distance(x) > slack));
         if !self.faces.contains(&true) {
-            return is_sheet(body);
+            return body.is_sheet();
         }
-        if is_sheet(body) && !self.faces[0] && !self.faces[1] {
+        if body.is_sheet() && !self.faces[0] && !self.faces[1] {
             return true;
         }
         for edge in &body.edges {
             match [self.faces[edge.left as usize], self.faces[edge.right as usize]] {
-                [true, false] => self.push_side(edge.start - x, edge.end - x),
-                [false, true] => self.push_side(edge.end - x, edge.start - x),
+                [true, false] => self.push_wall(edge.start - x, edge.end - x),
+                [false, true] => self.push_wall(edge.end - x, edge.start - x),
                 _ => {}
             }
         }
@@ -376,20 +379,20 @@ impl Shadows {
         for (m, &member) in self.members.iter().enumerate() {
             let Cone { first, end } = self.cones[member];
             for k in first..end {
-                let side = self.sides[k];
+                let wall = self.walls[k];
                 let (mut low, mut high) = (0.0f64, 1.0f64);
                 for (o, &other) in self.members.iter().enumerate().filter(|(o, _)| *o != m) {
                     let Cone { first, end } = self.cones[other];
-                    for plane in &self.sides[first..end] {
-                        let f0 = plane.distance(side.r0, side.lengths2[0]);
-                        let f1 = plane.distance(side.r1, side.lengths2[1]);
+                    for plane in &self.walls[first..end] {
+                        let f0 = plane.distance(wall.r0, wall.lengths2[0]);
+                        let f1 = plane.distance(wall.r1, wall.lengths2[1]);
                         if f0 > 0.0 && f1 > 0.0 {
                             continue;
                         }
                         if f0 == 0.0 && f1 == 0.0 {
-                            // The edge runs along a side of the other cone: it is counted once if both lie on the same
+                            // The edge runs along a wall of the other cone: it is counted once if both lie on the same
                             // side of it, else there is nothing between them.
-                            if m > o || side.inward.dot(plane.inward) < 0.0 {
+                            if m > o || wall.inward.dot(plane.inward) < 0.0 {
                                 low = 1.0;
                             }
                         } else if f0 <= 0.0 && f1 <= 0.0 {
@@ -411,9 +414,9 @@ impl Shadows {
                     whole &= low == 0.0 && high == 1.0;
                 }
                 if low < high {
-                    let way = side.r1 - side.r0;
-                    let r0 = if low > 0.0 { side.r0 + low * way } else { side.r0 };
-                    let r1 = if high < 1.0 { side.r0 + high * way } else { side.r1 };
+                    let way = wall.r1 - wall.r0;
+                    let r0 = if low > 0.0 { wall.r0 + low * way } else { wall.r0 };
+                    let r1 = if high < 1.0 { wall.r0 + high * way } else { wall.r1 };
                     self.terms.push(Term { r0, r1, sign, slot });
                 }
             }
@@ -424,16 +427,6 @@ impl Shadows {
 
 fn area(triangle: &Triangle) -> f64 {
     area_vector(triangle).length()
-}
-
-/// A length that counts as none beside a body.
-fn slack(body: &Body) -> f64 {
-    let size = (body.high - body.low).max_element();
-    1e-10 * size + 64.0 * f64::EPSILON * body.high.abs().max(body.low.abs()).max_element()
-}
-
-fn is_sheet(body: &Body) -> bool {
-    body.faces.len() > 1 && body.faces[0].normal == -body.faces[1].normal && body.faces[0].point == body.faces[1].point
 }
 
 /// Whether `a` should look at `b` rather than `b` at `a`: the patch that is smaller as seen from the nearest body, since the
@@ -454,74 +447,13 @@ fn looks(a: &Patch, b: &Patch, solids: &[Cow<Body>]) -> bool {
 fn between<'a>(body: &'a Body, planes: [&Plane; 2]) -> Option<Cow<'a, Body>> {
     let mut kept = Cow::Borrowed(body);
     for plane in planes {
-        let cut = in_front(&kept, plane)?;
-        if let Some(cut) = cut {
-            kept = Cow::Owned(cut);
+        match kept.side_of(plane) {
+            Side::Front => {}
+            Side::Behind => return None,
+            Side::Across => kept = Cow::Owned(kept.cut(plane)),
         }
     }
     Some(kept)
-}
-
-/// `None` when nothing of the body lies in front of the plane, `Some(None)` when all of it does, else the part that does:
-/// edges are cut, and each face that the plane cuts gets an edge along the cut.
-fn in_front(body: &Body, plane: &Plane) -> Option<Option<Body>> {
-    let slack = slack(body);
-    let snapped = |x: Vec3| {
-        let d = plane.distance(x);
-        if d.abs() <= slack { 0.0 } else { d }
-    };
-    let (mut before, mut behind) = (false, false);
-    for edge in &body.edges {
-        for d in [snapped(edge.start), snapped(edge.end)] {
-            before |= d > 0.0;
-            behind |= d < 0.0;
-        }
-    }
-    if !before {
-        return None;
-    }
-    if !behind {
-        return Some(None);
-    }
-    let mut edges = Vec::with_capacity(body.edges.len() + 2);
-    // Where the cut enters and leaves each face, and whether the face has something in front.
-    let mut cuts: Vec<([Option<Vec3>; 2], bool)> = vec![([None; 2], false); body.faces.len()];
-    for edge in &body.edges {
-        let (d0, d1) = (snapped(edge.start), snapped(edge.end));
-        let crossing = (d0 * d1 < 0.0).then(|| edge.start + d0 / (d0 - d1) * (edge.end - edge.start));
-        for face in [edge.left, edge.right] {
-            let (points, front) = &mut cuts[face as usize];
-            *front |= d0 > 0.0 || d1 > 0.0;
-            let on_plane = [crossing, (d0 == 0.0).then_some(edge.start), (d1 == 0.0).then_some(edge.end)];
-            for point in on_plane.into_iter().flatten() {
-                match points {
-                    [None, _] => points[0] = Some(point),
-                    [Some(first), None] if *first != point => points[1] = Some(point),
-                    _ => {}
-                }
-            }
-        }
-        match crossing {
-            Some(point) if d0 > 0.0 => edges.push(Edge { end: point, ..*edge }),
-            Some(point) => edges.push(Edge { start: point, ..*edge }),
-            None if d0 > 0.0 || d1 > 0.0 => edges.push(*edge),
-            None => {}
-        }
-    }
-    let cap = body.faces.len() as u32;
-    for (k, (points, front)) in cuts.into_iter().enumerate() {
-        if let ([Some(p), Some(q)], true) = (points, front) {
-            // The face lies to the left of its edges, in front of the plane.
-            let forward = plane.normal.dot(body.faces[k].normal.cross(q - p)) > 0.0;
-            let (start, end) = if forward { (p, q) } else { (q, p) };
-            edges.push(Edge { start, end, left: k as u32, right: cap });
-        }
-    }
-    let mut faces = body.faces.clone();
-    faces.push(Plane { normal: -plane.normal, point: plane.point });
-    let corners = || edges.iter().flat_map(|edge| [edge.start, edge.end]);
-    let (low, high) = (corners().fold(Vec3::INFINITY, Vec3::min), corners().fold(Vec3::NEG_INFINITY, Vec3::max));
-    Some(Some(Body { faces, edges, low, high }))
 }
 
 /// How far the hidden fractions at corners and middles are from a linear function, in what symmetric rules cannot see: for

@@ -17,6 +17,8 @@
 
 use std::collections::{HashMap, HashSet};
 
+use super::body::{Body, Edge, extremes};
+use super::box_tree::BoxTree;
 use super::bvh::{bounds, distinct_triangles};
 use super::shaft::Shaft;
 use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
@@ -38,37 +40,8 @@ const MOST_FACES: usize = 4096;
 /// An edge that more polygons share than this joins none of them: to pair them all would be quadratic.
 const MOST_AT_AN_EDGE: usize = 64;
 
-/// The most boxes in a leaf of a [`Tree`].
-const LEAF: usize = 16;
-
 /// No side, region or polygon.
 const NONE: u32 = u32::MAX;
-
-/// A convex body that blocks light: a solid, or a flat sheet as a solid of two faces.
-#[derive(Debug, Clone)]
-pub struct Body {
-    /// Planes whose normals point out of the body. Of a sheet: the plane of its front, then the same from behind.
-    pub faces: Vec<Plane>,
-    /// Every edge once.
-    pub edges: Vec<Edge>,
-    /// The smallest coordinates.
-    pub low: Vec3,
-    /// The largest coordinates.
-    pub high: Vec3,
-}
-
-/// Where two faces of a body meet.
-#[derive(Debug, Clone, Copy)]
-pub struct Edge {
-    /// Where the left face's border, counter-clockwise seen from outside, enters the edge.
-    pub start: Vec3,
-    /// Where it leaves the edge.
-    pub end: Vec3,
-    /// The face that has the edge from `start` to `end`.
-    pub left: u32,
-    /// The face that has the edge from `end` to `start`.
-    pub right: u32,
-}
 
 /// The bodies of a scene that can stand between two of its patches.
 #[derive(Debug, Clone)]
@@ -76,7 +49,7 @@ pub struct Bodies {
     /// Solids and sheets, which may overlap where the patches of the scene do.
     pub bodies: Vec<Body>,
     entangled: Vec<bool>,
-    tree: Tree,
+    tree: BoxTree,
 }
 
 impl Bodies {
@@ -87,7 +60,8 @@ impl Bodies {
         let (polygons, polygon_of) = mesh.polygons();
         let shells = Shells::new(&mesh, &polygons);
         let hull = Hull::new(scene);
-        let patches = Tree::new((0..scene.len() as u32).map(|i| (i, extremes(scene.triangle(i as usize)))).collect());
+        let patches =
+            BoxTree::new((0..scene.len() as u32).map(|i| (i, extremes(scene.triangle(i as usize)))).collect());
         let shell_of_patch = |i: u32| shells.shell_of[polygon_of[mesh.numbers[i as usize] as usize] as usize];
 
         let (mut bodies, mut entangled) = (Vec::new(), vec![false; scene.len()]);
@@ -118,7 +92,7 @@ impl Bodies {
         }
         let boxes =
             bodies.iter().enumerate().map(|(k, body): (usize, &Body)| (k as u32, (body.low, body.high))).collect();
-        Bodies { bodies, entangled, tree: Tree::new(boxes) }
+        Bodies { bodies, entangled, tree: BoxTree::new(boxes) }
     }
 
     /// The bodies that may reach into a shaft, in their order, up to `most`; `None` when there are more.
@@ -333,10 +307,9 @@ impl Mesh<'_> {
             let (start, end) = (self.at(ring[k]), self.at(ring[(k + 1) % ring.len()]));
             Edge { start, end, left: 0, right: 1 }
         });
-        let (low, high) = extremes(ring.iter().map(|&v| self.at(v)));
         let front = polygon.plane;
         let back = Plane { normal: -front.normal, point: front.point };
-        Body { faces: vec![front, back], edges: edges.collect(), low, high }
+        Body::new(vec![front, back], edges.collect())
     }
 
     /// A ring without the vertices that lie on a straight line between their neighbours.
@@ -373,11 +346,6 @@ impl Mesh<'_> {
 /// The three sides of a triangle.
 fn sides(t: u32) -> [u32; 3] {
     [3 * t, 3 * t + 1, 3 * t + 2]
-}
-
-/// Smallest and largest coordinates.
-fn extremes(points: impl IntoIterator<Item = Vec3>) -> (Vec3, Vec3) {
-    points.into_iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
 }
 
 /// Cuts regions of triangles into convex polygons: the sides of triangles as a doubly linked list around every piece.
@@ -748,7 +716,7 @@ impl Shells<'_> {
         if faces.len() < 4 || vertices.len() + faces.len() != edges.len() + 2 {
             return None;
         }
-        let points = Tree::new(vertices.iter().map(|&v| (v, (self.mesh.at(v), self.mesh.at(v)))).collect());
+        let points = BoxTree::new(vertices.iter().map(|&v| (v, (self.mesh.at(v), self.mesh.at(v)))).collect());
         let (low, high) = points.bounds();
         let size = (high - low).max_element();
         let tolerance = TOUCH * size + 16.0 * self.mesh.grain;
@@ -759,7 +727,7 @@ impl Shells<'_> {
         let cap = rings.last().filter(|_| has_cap);
         let is_plane = cap.is_none_or(|ring| ring.iter().all(|x| faces[shell.len()].distance(*x).abs() <= tolerance));
         (is_plane && faces.iter().all(is_border)).then_some(Solid {
-            body: Body { faces, edges, low, high },
+            body: Body::new(faces, edges),
             rings,
             has_cap,
             tolerance,
@@ -786,7 +754,7 @@ fn opening(open: &[(u32, u32, u32)]) -> Option<Vec<u32>> {
 /// The patches around a solid that are no part of it.
 struct Others<'a, F> {
     scene: &'a Scene,
-    patches: &'a Tree,
+    patches: &'a BoxTree,
     is_own: F,
 }
 
@@ -855,7 +823,7 @@ fn remains(triangle: &Triangle, planes: impl Iterator<Item = Plane>) -> bool {
 
 /// What lies on both sides of a plane, asked of all corners of the scene's patches.
 struct Hull {
-    points: Tree,
+    points: BoxTree,
     tolerance: f64,
 }
 
@@ -865,7 +833,7 @@ impl Hull {
         used.sort_unstable();
         used.dedup();
         let at = |v: u32| scene.vertices()[v as usize];
-        let points = Tree::new(used.into_iter().map(|v| (v, (at(v), at(v)))).collect());
+        let points = BoxTree::new(used.into_iter().map(|v| (v, (at(v), at(v)))).collect());
         let (low, high) = points.bounds();
         let size = (high - low).max_element().max(low.abs().max(high.abs()).max_element());
         Hull { points, tolerance: 64.0 * f64::EPSILON * size }
@@ -873,105 +841,5 @@ impl Hull {
 
     fn has_both_sides(&self, plane: &Plane) -> bool {
         self.points.sides(plane, [self.tolerance, -self.tolerance]) == (true, true)
-    }
-}
-
-/// Boxes in a binary tree, in the order of a walk from the root: what is not looked into is jumped over.
-#[derive(Debug, Clone)]
-struct Tree {
-    nodes: Vec<Node>,
-    items: Vec<(u32, (Vec3, Vec3))>,
-}
-
-#[derive(Debug, Clone)]
-struct Node {
-    low: Vec3,
-    high: Vec3,
-    /// The node that comes after all below this one.
-    beyond: usize,
-    /// The boxes of a leaf; empty for an inner node.
-    items: std::ops::Range<usize>,
-}
-
-impl Tree {
-    fn new(items: Vec<(u32, (Vec3, Vec3))>) -> Tree {
-        let count = items.len();
-        let mut tree = Tree { nodes: Vec::with_capacity(count / 4 + 1), items };
-        if count > 0 {
-            tree.split(0, count);
-        }
-        tree
-    }
-
-    /// Halves the boxes at the median along the longest axis: the depth is logarithmic whatever they are.
-    fn split(&mut self, first: usize, end: usize) {
-        let items = &mut self.items[first..end];
-        let low = items.iter().fold(Vec3::INFINITY, |m, (_, (low, _))| m.min(*low));
-        let high = items.iter().fold(Vec3::NEG_INFINITY, |m, (_, (_, high))| m.max(*high));
-        let index = self.nodes.len();
-        self.nodes.push(Node { low, high, beyond: 0, items: first..first });
-        if items.len() <= LEAF {
-            self.nodes[index].items = first..end;
-        } else {
-            let extent = (high - low).to_array();
-            let axis = (0..3).max_by(|&a, &b| extent[a].total_cmp(&extent[b])).unwrap_or(0);
-            let middle = items.len() / 2;
-            let place = |(_, (low, high)): &(u32, (Vec3, Vec3))| 0.5 * low[axis] + 0.5 * high[axis];
-            items.select_nth_unstable_by(middle, |a, b| place(a).total_cmp(&place(b)).then(a.0.cmp(&b.0)));
-            self.split(first, first + middle);
-            self.split(first + middle, end);
-        }
-        self.nodes[index].beyond = self.nodes.len();
-    }
-
-    /// Smallest and largest coordinates.
-    fn bounds(&self) -> (Vec3, Vec3) {
-        self.nodes.first().map_or((Vec3::ZERO, Vec3::ZERO), |root| (root.low, root.high))
-    }
-
-    /// Visits the nodes for which `opens` is true and the boxes in them, until `visit` returns false.
-    fn walk(&self, mut opens: impl FnMut(&Node) -> bool) {
-        let mut index = 0;
-        while let Some(node) = self.nodes.get(index) {
-            index = if opens(node) { index + 1 } else { node.beyond };
-        }
-    }
-
-    /// The boxes that meet a box.
-    fn meeting(&self, low: Vec3, high: Vec3, mut visit: impl FnMut(u32)) {
-        self.walk(|node| {
-            let meets = node.low.cmple(high).all() && node.high.cmpge(low).all();
-            for (i, (l, h)) in self.items[node.items.clone()].iter().filter(|_| meets) {
-                if l.cmple(high).all() && h.cmpge(low).all() {
-                    visit(*i);
-                }
-            }
-            meets
-        });
-    }
-
-    /// Whether any of the points, each a box without extent, lies further before a plane than `beyond[0]`, and whether any
-    /// lies further behind it than `beyond[1]`, which is negative.
-    fn sides(&self, plane: &Plane, beyond: [f64; 2]) -> (bool, bool) {
-        let (mut before, mut behind) = (false, false);
-        let mut add = |low: f64, high: f64, is_point: bool| {
-            let tells = (!before && high > beyond[0]) || (!behind && low < beyond[1]);
-            if is_point {
-                before |= high > beyond[0];
-                behind |= low < beyond[1];
-            }
-            tells
-        };
-        self.walk(|node| {
-            let half = 0.5 * (node.high - node.low);
-            let (middle, reach) = (plane.distance(node.low + half), half.dot(plane.normal.abs()));
-            let opens = add(middle - reach, middle + reach, false);
-            for (_, (x, _)) in self.items[node.items.clone()].iter().filter(|_| opens) {
-                let distance = plane.distance(*x);
-                add(distance, distance, true);
-            }
-            opens
-        });
-        (before, behind)
     }
 }

@@ -10,12 +10,15 @@
 //! - [`sift`]: the f32 tests that both rely on; [`crate::simd`]: their vectors
 //! - [`intersect`]: the watertight test in f64 that decides (Woop, Benthin & Wald 2013); [`own_surface`]: what a ray leaves
 //!   out of account
-//! - [`shaft`]: a proof that nothing can stand between two patches
+//! - [`bodies`]: what blocks, merged to few convex bodies ([`body`]); [`shaft`]: which of them may stand between two patches;
+//!   [`box_tree`]: where they are looked up
 //!
 //! The conversion to f32, the normalisation of coordinates and the self-hit rule live in this folder and nowhere else.
 
 mod block;
 pub mod bodies;
+pub mod body;
+mod box_tree;
 mod build;
 mod bundle;
 pub mod bvh;

@@ -212,6 +212,16 @@ pub fn box_in_box(k: usize) -> Mesh {
     cube(k).and(&box_from(vec3(0.3, 0.25, 0.2), vec3(0.7, 0.65, 0.6), 1).reversed())
 }
 
+/// The unit cube with a stack of ten plates inside, fronts up and down: closed, and so many bodies stand between most pairs
+/// that their visibility is sampled by segments. 12 k^2 + 40 patches.
+pub fn stack_in_box(k: usize) -> Mesh {
+    (0..10).fold(cube(k), |mesh, storey| {
+        let corner = vec3(0.3, 0.25, 0.3 + 0.03 * f64::from(storey));
+        let plate = plate(corner, 0.4 * Vec3::X, 0.4 * Vec3::Y, 1);
+        mesh.and(&plate).and(&plate.reversed())
+    })
+}
+
 /// An icosahedron whose triangles are quartered `level` times, corners on the unit sphere, fronts outside.
 pub fn icosphere(level: usize) -> Mesh {
     let phi = 0.5 * (1.0 + 5f64.sqrt());

@@ -222,7 +222,7 @@ fn bad_tolerances_little_memory_and_stops_are_told() {
             Sampled::new(&scene, estimator, SampledOptions { tolerance, seed: 0, memory }, progress)
         };
         for tolerance in [0.0, 1.0, -1e-3, f64::NAN] {
-            assert!(invalid(attempt(tolerance, PLENTY, &Progress::default())).contains("is outside [1e-8, 1)"));
+            assert!(invalid(attempt(tolerance, PLENTY, &Progress::default())).contains("is outside [1e-10, 1)"));
         }
         let (least, progress) = (Sampled::forecast(scene.len()), Progress::default());
         assert!(matches!(attempt(0.1, least - 1, &progress), Err(Error::Memory { needed, .. }) if needed == least));
@@ -245,8 +245,8 @@ fn balancing_makes_row_sums_exact_and_keeps_reciprocity() {
     // Sums of 60 terms: some tens of roundings.
     assert!(worst(&f) > 1e-4 && worst(&repaired) <= 1e-13, "{} to {:e}", worst(&f), worst(&repaired));
     assert!(reciprocity_error(&repaired).unwrap() <= 2.0 * f64::EPSILON);
-    // No row can be mended by less than it lacks.
-    assert!(moved >= worst(&f) && moved <= 10.0 * worst(&f), "{moved} for {}", worst(&f));
+    // No row can be mended by less than it lacks, to rounding.
+    assert!(moved >= (1.0 - 1e-12) * worst(&f) && moved <= 10.0 * worst(&f), "{moved} for {}", worst(&f));
     let (before, after) = (table(&f), table(&repaired));
     for (a, b) in before.iter().zip(&after) {
         assert!(*b >= 0.0 && (*a > 0.0 || *b == 0.0), "who sees nobody still sees nobody");

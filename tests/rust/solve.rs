@@ -8,7 +8,7 @@ use radiosity::solve::{Audit, METHODS, Method, Options, Solved, Step, System, so
 use radiosity::{Error, Result};
 
 use crate::common::{
-    Mesh, PLENTY, Random, assert_close, box_in_box, cube, dense, icosphere, invalid, table, two_plates,
+    Mesh, PLENTY, Random, assert_close, box_in_box, cube, dense, icosphere, invalid, stack_in_box, table, two_plates,
 };
 
 fn options(tolerance: f64) -> Options {
@@ -609,7 +609,7 @@ fn the_error_estimate_of_a_furnace_in_closed_form() {
 /// By how much the spread of B over 16 seeds exceeds the standard error that is told, in a room of one reflectance; and the
 /// same for the estimate in the norm.
 fn spread_over_told(rho: f64) -> (f64, f64) {
-    let scene = box_in_box(2).scene_with(1, Sides::Front, |_, _| rho, |i, _| if i < 8 { 10.0 } else { 0.0 });
+    let scene = stack_in_box(1).scene_with(1, Sides::Front, |_, _| rho, |i, _| if i < 8 { 10.0 } else { 0.0 });
     let (mut all, mut told, mut estimated) = (Vec::new(), 0.0, 0.0);
     for seed in 0..16 {
         let f = dense(&scene, 1e-2, seed);
@@ -631,7 +631,7 @@ fn spread_over_told(rho: f64) -> (f64, f64) {
 fn the_standard_error_of_a_solution_is_its_spread_over_seeds() {
     for rho in [0.2, 0.5, 0.8, 0.95] {
         let (error, estimate) = spread_over_told(rho);
-        // In a dark room 60 patches with 15 degrees of freedom each fix the ratio to some 10 %. In a white one the error is
+        // In a dark room 52 patches with 15 degrees of freedom each fix the ratio to some 10 %. In a white one the error is
         // one number shared by all patches: 15 degrees of freedom for the spread, 18 %, and what is told rests on 16 x 4
         // draws.
         assert!((0.6..1.6).contains(&error), "rho {rho}: the spread is {error} times the standard error");
@@ -642,7 +642,7 @@ fn the_standard_error_of_a_solution_is_its_spread_over_seeds() {
 
 #[test]
 fn the_solution_of_sampled_factors_is_near_that_of_finer_ones() {
-    let mesh = box_in_box(1);
+    let mesh = stack_in_box(1);
     let scene = mesh.scene_with(2, Sides::Front, |_, b| [0.3, 0.5][b], |i, b| if i % 6 == b { 1.0 } else { 0.0 });
     // Twenty times finer: its own error does not count.
     let reference = dense(&scene, 5e-4, 99);
@@ -654,7 +654,7 @@ fn the_solution_of_sampled_factors_is_near_that_of_finer_ones() {
         let reflected: Vec<f64> = solved.radiosity.iter().zip(scene.emission()).map(|(b, e)| b - e).collect();
         let distances = distances(&scene, &solved.radiosity, &exact);
         let worst = distances.iter().zip(norms(&scene, &reflected)).map(|(d, size)| d / size).fold(0.0, f64::max);
-        // One standard error is told. A norm over 24 patches is seldom beyond two, and later bounces add up to
+        // One standard error is told. A norm over 52 patches is seldom beyond two, and later bounces add up to
         // rho / (1 - rho) = 1 of it.
         assert!(worst < 4.0 * solved.error_estimate, "seed {seed}: {worst} against {}", solved.error_estimate);
         assert!(worst > 0.1 * solved.error_estimate, "seed {seed}: {worst} against {}", solved.error_estimate);

@@ -5,6 +5,8 @@ use radiosity::form_factor::area_quadrature::kernel;
 use radiosity::geometry::sampling::point_in_triangle;
 use radiosity::geometry::{Triangle, Vec3};
 use radiosity::scene::{Scene, Sides};
+use radiosity::visibility::bodies::Bodies;
+use radiosity::visibility::shaft::Shaft;
 use radiosity::visibility::{Bvh, Hit, Instructions, NO_PATCH, Ray, Segment};
 
 use crate::common::{Mesh, PLENTY, Random, box_from, box_in_box, cube, icosphere, plate, rotated, two_plates, vec3};
@@ -370,13 +372,14 @@ fn blockers_alone_block_as_much_as_the_whole_scene() {
 /// Over every pair of `scene`: how many shafts are declared empty, how many are not although no segment is blocked, and how
 /// many are truly blocked. Fails when a shaft that was declared empty blocks a segment.
 fn shafts(scene: &Scene, random: &Random, segments: usize) -> [usize; 3] {
-    let blockers = Bvh::of_blockers(scene);
+    let bodies = Bodies::of_scene(scene);
     let all = Bvh::of_scene(scene);
     let [mut empty, mut unproven, mut occluded] = [0; 3];
     for i in 0..scene.len() {
         for j in 0..i {
             let exclude = [i as u32, j as u32];
-            let says_empty = blockers.shaft_is_empty(&scene.triangle(i), &scene.triangle(j), exclude);
+            let shaft = Shaft::new(&scene.triangle(i), &scene.triangle(j));
+            let says_empty = bodies.in_shaft(&shaft, 0).is_some();
             let mut is_blocked = false;
             let mut cast = 0;
             for _ in 0..segments {

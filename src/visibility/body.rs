@@ -1,0 +1,127 @@
+//! A convex body that blocks light, by its faces and edges.
+
+use crate::geometry::Vec3;
+use crate::geometry::polygon::{Plane, Side};
+
+/// A convex body: a solid, or a flat sheet as a solid of two faces.
+#[derive(Debug, Clone)]
+pub struct Body {
+    /// Planes whose normals point out of the body. Of a sheet: the plane of its front, then the same from behind.
+    pub faces: Vec<Plane>,
+    /// Every edge once.
+    pub edges: Vec<Edge>,
+    /// Every corner once, in the order of the edges.
+    pub corners: Vec<Vec3>,
+    /// The smallest coordinates.
+    pub low: Vec3,
+    /// The largest coordinates.
+    pub high: Vec3,
+}
+
+/// Where two faces of a body meet.
+#[derive(Debug, Clone, Copy)]
+pub struct Edge {
+    /// Where the left face's border, counter-clockwise seen from outside, enters the edge.
+    pub start: Vec3,
+    /// Where it leaves the edge.
+    pub end: Vec3,
+    /// The face that has the edge from `start` to `end`.
+    pub left: u32,
+    /// The face that has the edge from `end` to `start`.
+    pub right: u32,
+}
+
+impl Body {
+    /// From what bounds it.
+    pub fn new(faces: Vec<Plane>, edges: Vec<Edge>) -> Body {
+        let mut corners: Vec<Vec3> = edges.iter().flat_map(|edge| [edge.start, edge.end]).collect();
+        corners.sort_unstable_by(|a, b| {
+            let order = |k: usize| a[k].total_cmp(&b[k]);
+            order(0).then(order(1)).then(order(2))
+        });
+        corners.dedup();
+        let (low, high) = extremes(corners.iter().copied());
+        Body { faces, edges, corners, low, high }
+    }
+
+    /// Whether the body has no thickness.
+    pub fn is_sheet(&self) -> bool {
+        let [front, back, ..] = self.faces.as_slice() else { return false };
+        front.normal == -back.normal && front.point == back.point
+    }
+
+    /// A length that counts as none beside the body.
+    pub fn slack(&self) -> f64 {
+        let size = (self.high - self.low).max_element();
+        1e-10 * size + 64.0 * f64::EPSILON * self.high.abs().max(self.low.abs()).max_element()
+    }
+
+    /// The distance of `x` before `plane`, exactly 0 when it counts as none.
+    fn snapped(&self, plane: &Plane, x: Vec3) -> f64 {
+        let d = plane.distance(x);
+        if d.abs() <= self.slack() { 0.0 } else { d }
+    }
+
+    /// Where the body lies as seen from a plane.
+    pub fn side_of(&self, plane: &Plane) -> Side {
+        let (mut before, mut behind) = (false, false);
+        for &corner in &self.corners {
+            let d = self.snapped(plane, corner);
+            before |= d > 0.0;
+            behind |= d < 0.0;
+        }
+        match (before, behind) {
+            (true, false) => Side::Front,
+            (false, _) => Side::Behind,
+            (true, true) => Side::Across,
+        }
+    }
+
+    /// The part in front of a plane that cuts the body: edges are cut, and each face that the plane cuts gets an edge along the
+    /// cut.
+    pub fn cut(&self, plane: &Plane) -> Body {
+        let mut edges = Vec::with_capacity(self.edges.len() + 2);
+        // Where the cut enters and leaves each face, and whether the face has something in front.
+        let mut cuts: Vec<([Option<Vec3>; 2], bool)> = vec![([None; 2], false); self.faces.len()];
+        for edge in &self.edges {
+            let (d0, d1) = (self.snapped(plane, edge.start), self.snapped(plane, edge.end));
+            let crosses = (d0 < 0.0 && d1 > 0.0) || (d0 > 0.0 && d1 < 0.0);
+            let crossing = crosses.then(|| edge.start + d0 / (d0 - d1) * (edge.end - edge.start));
+            for face in [edge.left, edge.right] {
+                let (points, front) = &mut cuts[face as usize];
+                *front |= d0 > 0.0 || d1 > 0.0;
+                let on_plane = [crossing, (d0 == 0.0).then_some(edge.start), (d1 == 0.0).then_some(edge.end)];
+                for point in on_plane.into_iter().flatten() {
+                    match points {
+                        [None, _] => points[0] = Some(point),
+                        [Some(first), None] if *first != point => points[1] = Some(point),
+                        _ => {}
+                    }
+                }
+            }
+            match crossing {
+                Some(point) if d0 > 0.0 => edges.push(Edge { end: point, ..*edge }),
+                Some(point) => edges.push(Edge { start: point, ..*edge }),
+                None if d0 > 0.0 || d1 > 0.0 => edges.push(*edge),
+                None => {}
+            }
+        }
+        let cap = self.faces.len() as u32;
+        for (k, (points, front)) in cuts.into_iter().enumerate() {
+            if let ([Some(p), Some(q)], true) = (points, front) {
+                // The face lies to the left of its edges, in front of the plane.
+                let forward = plane.normal.dot(self.faces[k].normal.cross(q - p)) > 0.0;
+                let (start, end) = if forward { (p, q) } else { (q, p) };
+                edges.push(Edge { start, end, left: k as u32, right: cap });
+            }
+        }
+        let mut faces = self.faces.clone();
+        faces.push(Plane { normal: -plane.normal, point: plane.point });
+        Body::new(faces, edges)
+    }
+}
+
+/// Smallest and largest coordinates.
+pub(super) fn extremes(points: impl IntoIterator<Item = Vec3>) -> (Vec3, Vec3) {
+    points.into_iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
+}
