@@ -340,7 +340,7 @@ fn unoccluded(
             if !bodies.is_empty() {
                 for (j, _) in row.iter().enumerate().filter(|(_, g)| **g > 0.0) {
                     let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
-                    if bodies.in_shaft(&shaft, 0).is_none() {
+                    if bodies.may_meet(&shaft) {
                         let (i, j) = (i as u32, j as u32);
                         candidates.push(Candidate {
                             i,

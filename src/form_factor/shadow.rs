@@ -24,6 +24,7 @@ use crate::geometry::{Triangle, Vec3};
 use crate::simd::double::{Double, LANES, Vectors};
 use crate::simd::{Instructions, Machine, for_every_machine};
 use crate::visibility::body::Body;
+use crate::visibility::shaft::are_apart;
 
 /// Points of a triangle that leave no part of it unseen: near the corners, near the middles of the edges, the centroid. A
 /// shadow that does not reach the whole triangle reaches its border, since the points that see one are a convex set.
@@ -54,6 +55,8 @@ pub const COARSE: [[f64; 3]; 2] = [
 ];
 /// Triangles that one patch may be cut into.
 const MOST_CELLS: usize = 16_384;
+/// Steps to prove that a body hides nothing: without a proof, more triangles have to be looked from.
+const STEPS: usize = 60;
 /// Intersections of shadows that are looked at from one point before rays are the better answer.
 const MOST_OVERLAPS: usize = 64;
 /// The sine of an angle that counts as none: an edge so near to a plane through x lies in it.
@@ -64,9 +67,6 @@ const UNSEEN: f64 = 1e-2;
 /// The error of the rule where a kink crosses a triangle, relative to [`bend`]: the two differences of a cell may be small
 /// by chance, and among some ten thousand cells some are.
 const KINK: f64 = 0.1;
-
-/// The rule is better than the coarse ones, but among many cells the worst counts.
-const SAFETY: f64 = 1.5;
 
 /// The fraction of the exchange of a pair that is visible, and an estimate of its error.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -253,9 +253,10 @@ impl Shadows {
             }
         }
         sum_terms(self.instructions, &self.terms, normal, &mut self.sums);
-        let sums = self.sums.chunks_exact(2 * POINTS.len());
-        let cells = triangles.iter().zip(sums).zip(mixed).map(|((&triangle, sums), [hides, shows])| {
+        let mut cells = Vec::with_capacity(triangles.len());
+        for (k, (&triangle, [hides, shows])) in triangles.iter().zip(mixed).enumerate() {
             let area = area(&triangle);
+            let sums = &self.sums[2 * k * POINTS.len()..][..2 * POINTS.len()];
             // Sums of what is seen and of what is hidden.
             let by = |weights: [f64; 3]| {
                 [0, 1].map(|which| {
@@ -264,20 +265,31 @@ impl Shadows {
                 })
             };
             let [all, hidden] = by([POINTS[0].weight, POINTS[3].weight, POINTS[6].weight]);
+            let difference = |weights: [f64; 3]| {
+                let [coarse_all, coarse] = by(weights);
+                // As fractions: where the view itself changes fast, both change together.
+                (hidden - if coarse_all > 0.0 { coarse * (all / coarse_all) } else { 0.0 }).abs()
+            };
             let error = if hides && shows {
-                let difference = |weights: [f64; 3]| {
-                    let [coarse_all, coarse] = by(weights);
-                    // As fractions: where the view itself changes fast, both change together.
-                    (hidden - if coarse_all > 0.0 { coarse * (all / coarse_all) } else { 0.0 }).abs()
-                };
-                SAFETY * difference(COARSE[0]).max(difference(COARSE[1])).max(KINK * bend(sums) * all)
+                difference(COARSE[0]).max(difference(COARSE[1])).max(KINK * bend(sums) * all)
+            } else if self.is_proven(&triangle, target, solids, hides) {
+                0.0
             } else {
                 // The smaller the triangle, the less can hide in it.
                 UNSEEN * (area / whole).sqrt() * all.abs()
             };
-            Cell { triangle, hidden, all, error }
-        });
-        Some(cells.collect())
+            cells.push(Cell { triangle, hidden, all, error });
+        }
+        Some(cells)
+    }
+
+    /// Whether it is certain that all of the target is hidden from all of a triangle, or nothing.
+    fn is_proven(&mut self, triangle: &Triangle, target: &[Vec3], solids: &[Cow<Body>], hidden: bool) -> bool {
+        if hidden {
+            return solids.iter().any(|solid| self.hides_all(triangle, target, solid));
+        }
+        let hull: Vec<Vec3> = triangle.iter().chain(target).copied().collect();
+        solids.iter().all(|solid| are_apart(&hull, &solid.corners, solid.slack(), STEPS))
     }
 
     /// Adds what x sees to `slot` and what is hidden of it to the next; tells whether anything is hidden, and whether

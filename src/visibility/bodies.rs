@@ -95,22 +95,39 @@ impl Bodies {
         Bodies { bodies, entangled, tree: BoxTree::new(boxes) }
     }
 
-    /// The bodies that may reach into a shaft, in their order, up to `most`; `None` when there are more.
+    /// Whether a body may reach into a shaft, by quick tests.
+    pub fn may_meet(&self, shaft: &Shaft) -> bool {
+        let mut found = false;
+        self.near(shaft, |k| {
+            found = found || shaft.may_hold(&self.bodies[k as usize]);
+            !found
+        });
+        found
+    }
+
+    /// The bodies that reach into a shaft, or may, in their order, up to `most`; `None` when there are more.
     pub fn in_shaft(&self, shaft: &Shaft, most: usize) -> Option<Vec<&Body>> {
         let mut found: Vec<u32> = Vec::new();
-        let mut full = false;
+        self.near(shaft, |k| {
+            if shaft.holds(&self.bodies[k as usize]) {
+                found.push(k);
+            }
+            found.len() <= most
+        });
+        found.sort_unstable();
+        (found.len() <= most).then(|| found.into_iter().map(|k| &self.bodies[k as usize]).collect())
+    }
+
+    /// Visits the bodies whose boxes a shaft may meet, until `visit` returns false.
+    fn near(&self, shaft: &Shaft, mut visit: impl FnMut(u32) -> bool) {
+        let mut goes_on = true;
         self.tree.walk(|node| {
-            let opens = !full && shaft.may_meet_box(node.low, node.high);
+            let opens = goes_on && shaft.may_meet_box(node.low, node.high);
             for (k, (low, high)) in self.tree.items[node.items.clone()].iter().filter(|_| opens) {
-                if !full && shaft.may_meet_box(*low, *high) && shaft.may_hold(&self.bodies[*k as usize]) {
-                    full = found.len() == most;
-                    found.push(*k);
-                }
+                goes_on = goes_on && (!shaft.may_meet_box(*low, *high) || visit(*k));
             }
             opens
         });
-        found.sort_unstable();
-        (!full).then(|| found.into_iter().map(|k| &self.bodies[k as usize]).collect())
     }
 
     /// Whether nothing can block.

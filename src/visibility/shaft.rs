@@ -11,6 +11,9 @@ use super::body::Body;
 use crate::geometry::polygon::{Plane, area_vector, centre};
 use crate::geometry::{Triangle, Vec3};
 
+/// Steps towards a plane between hull and body: most that are apart are known to be after a few.
+const STEPS: usize = 6;
+
 /// A bounding volume of everything between two patches.
 pub struct Shaft {
     corners: [Vec3; 6],
@@ -65,7 +68,7 @@ impl Shaft {
         (to - t * self.axis).length_squared() <= reach * reach
     }
 
-    /// Whether a body may reach into the shaft.
+    /// Whether a body may reach into the shaft, by quick tests.
     pub fn may_hold(&self, body: &Body) -> bool {
         if !self.may_meet_box(body.low, body.high) {
             return false;
@@ -76,30 +79,27 @@ impl Shaft {
         if body.faces.iter().any(|face| self.corners.iter().all(|x| face.distance(*x) >= -self.slack)) {
             return false;
         }
-        !self.is_apart_from(body)
+        true
     }
 
-    /// Whether a plane between the hull and the body has been found.
-    fn is_apart_from(&self, body: &Body) -> bool {
-        const STEPS: usize = 16;
-        let middle = 0.5 * (body.low + body.high);
-        let t = if self.axis_squared > 0.0 {
-            ((middle - self.start).dot(self.axis) / self.axis_squared).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
-        // From the hull towards the body.
-        let mut direction = (middle - (self.start + t * self.axis)).normalize_or(Vec3::X);
-        for _ in 0..STEPS {
-            let gap = furthest(&body.corners, -direction) - furthest(&self.corners, direction);
-            if direction.dot(gap) >= -self.slack {
-                return true;
-            }
-            let Some(gap) = gap.try_normalize() else { return false };
-            direction = (direction - 2.0 * direction.dot(gap) * gap).normalize_or(Vec3::X);
-        }
-        false
+    /// The same, by looking for a plane between the two.
+    pub fn holds(&self, body: &Body) -> bool {
+        self.may_hold(body) && !are_apart(&self.corners, &body.corners, self.slack, STEPS)
     }
+}
+
+/// Whether a plane between two sets of points has been found in so many steps, no more than `slack` inside either.
+pub fn are_apart(a: &[Vec3], b: &[Vec3], slack: f64, steps: usize) -> bool {
+    let mut direction = (centre(b) - centre(a)).normalize_or(Vec3::X);
+    for _ in 0..steps {
+        let gap = furthest(b, -direction) - furthest(a, direction);
+        if direction.dot(gap) >= -slack {
+            return true;
+        }
+        let Some(gap) = gap.try_normalize() else { return false };
+        direction = (direction - 2.0 * direction.dot(gap) * gap).normalize_or(Vec3::X);
+    }
+    false
 }
 
 /// The point that lies furthest in a direction.
