@@ -405,14 +405,13 @@ fn sample(
 /// Segments that all agree leave the expectation 1 / (m + 2) for the part that none of them met (Laplace's rule of
 /// succession): a thin bar is missed by few segments. Where they do not agree, four replicates know their spread only to
 /// 40 %, and pairs whose spread looks small by chance would get no more segments: so half of the variance is what m
-/// quasi-random segments usually leave, 0.6 sqrt(V (1 - V)) m^-RATE.
+/// segments leave in a cluttered shaft, measured as half the variance of random ones, V (1 - V) / 2 m.
 fn error_to_count_with(v: &VisibleFraction, segments: u32) -> f64 {
-    const USUAL: f64 = 0.6;
     if v.standard_error == 0.0 {
         return 1.0 / f64::from(segments + 2);
     }
-    let usual = USUAL * (v.value * (1.0 - v.value)).sqrt() * f64::from(segments).powf(-RATE);
-    (0.5 * (v.standard_error * v.standard_error + usual * usual)).sqrt()
+    let usual = 0.5 * v.value * (1.0 - v.value) / f64::from(segments);
+    (0.5 * (v.standard_error * v.standard_error + usual)).sqrt()
 }
 
 /// The visible fraction from shadows, where few bodies can stand between and the patches are outside of all.

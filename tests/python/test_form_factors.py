@@ -75,7 +75,7 @@ def obstructed():
     return rad.Scene(np.concatenate([corners, obstacle]), np.concatenate([faces, faces[4:, ::-1]]))
 
 
-@pytest.mark.parametrize("tolerance", [3e-2, 1e-2, 3e-3])
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-5])
 def test_partial_occlusion_meets_the_row_tolerance(obstructed, tolerance):
     F = rad.form_factors(obstructed, tolerance=tolerance)
     # All four patches are halves: the mean of the two rows is the factor from square to square.
@@ -93,9 +93,8 @@ def test_rows_of_a_closed_convex_scene_sum_to_one_without_casting_a_ray(toleranc
 
 def test_rows_of_a_closed_room_with_obstacles_sum_to_one_within_the_tolerance():
     # Two rooms and a door: closed, not convex.
-    F = rad.form_factors(rad.scenes.two_rooms(max_edge=1.5), tolerance=1e-2)
-    assert F.segments > 0
-    assert np.abs(F.remainder).max() <= 1e-2
+    F = rad.form_factors(rad.scenes.two_rooms(max_edge=1.5), tolerance=1e-3)
+    assert np.abs(F.remainder).max() <= 1e-3
 
 
 def test_the_operator_is_consistent_with_its_matrix():
@@ -131,8 +130,20 @@ def test_the_same_bits_for_any_number_of_threads(threads):
     assert F.error_estimate == expected.error_estimate
 
 
+def stack():
+    """A furnace with ten plates inside: more bodies in most shafts than shadows are drawn of, so segments are cast."""
+    room = rad.scenes.furnace(max_edge=0.5)
+    square = np.array([[0.3, 0.25, 0.0], [0.7, 0.25, 0.0], [0.7, 0.65, 0.0], [0.3, 0.65, 0.0]])
+    vertices, faces = [room.vertices], [room.faces]
+    for storey in range(10):
+        first = len(room.vertices) + 4 * storey
+        vertices.append(square + [0, 0, 0.3 + 0.03 * storey])
+        faces.append(first + np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]]))
+    return rad.Scene(np.concatenate(vertices), np.concatenate(faces))
+
+
 def test_another_seed_gives_another_estimate_within_the_error():
-    scene = rad.scenes.cornell_box(max_edge=0.3)
+    scene = stack()
     first, second = (rad.form_factors(scene, tolerance=2e-2, seed=seed) for seed in (1, 2))
     difference = np.abs(first.toarray() - second.toarray()).sum(axis=1)
     assert difference.max() > 0
@@ -188,7 +199,7 @@ def test_bad_arguments_are_named():
         rad.form_factor([1, 2, 3], SQUARE)
     with pytest.raises(TypeError, match="polygon_a must hold real numbers"):
         rad.form_factor("square", SQUARE)
-    for tolerance in (0.0, -1.0, 1.0, 1e-9, np.nan):
+    for tolerance in (0.0, -1.0, 1.0, 1e-11, np.nan):
         with pytest.raises(ValueError, match="tolerance"):
             rad.form_factor(SQUARE, SQUARE, tolerance=tolerance)
         with pytest.raises(ValueError, match="tolerance"):
@@ -205,9 +216,9 @@ def test_bad_arguments_are_named():
 
 
 def test_a_tolerance_that_is_not_met_is_told(obstructed):
-    with pytest.warns(UserWarning, match="above the tolerance 1e-06"):
-        F = rad.form_factors(obstructed, tolerance=1e-6)
-    assert F.error_estimate > 1e-6
+    with pytest.warns(UserWarning, match="above the tolerance 1e-08"):
+        F = rad.form_factors(obstructed, tolerance=1e-8)
+    assert F.error_estimate > 1e-8
 
 
 def test_too_large_an_operator_is_refused_before_any_work(monkeypatch):

@@ -3,10 +3,11 @@
 use std::collections::BTreeSet;
 
 use radiosity::Progress;
-use radiosity::Xvisibility::bodies::{Bodies, Body};
 use radiosity::geometry::Vec3;
 use radiosity::geometry::polygon::area;
 use radiosity::scene::{Scene, Sides};
+use radiosity::visibility::bodies::Bodies;
+use radiosity::visibility::body::Body;
 use radiosity::visibility::{Bvh, Segment};
 
 use super::common::{Mesh, PLENTY, Random, box_from, icosphere, plate, rotated, vec3};
