@@ -1,18 +1,16 @@
 //! The dense operator: the exchange G_ij = A_i F_ij of every pair, in f64, stored once.
 //!
-//! G = (unoccluded exchange by [`crate::form_factor::exchange`]) x (visible fraction by
-//! [`crate::form_factor::occluded`]). Pairs that face away cost nothing, pairs with an empty shaft between them no rays,
-//! a convex scene no tree. Row i of the triangle holds G_i0 .. G_i,i-1; G_ii is 0 because patches are flat.
+//! G = (unoccluded exchange by [`crate::form_factor::exchange`]) x (visible fraction by [`super::hidden`]). Pairs that face away
+//! cost nothing, pairs with an empty shaft between them neither shadows nor rays, a convex scene no tree. Row i of the triangle holds G_i0 .. G_i,i-1; G_ii is 0 because patches are flat.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
 use super::FormFactors;
+use super::hidden::{Blockers, Candidate, plan, row_errors, sample};
 use super::matrix::add_scaled;
 use crate::error::{Error, Result};
-use crate::form_factor::occluded::{End, VisibleFraction, visible_fraction};
-use crate::form_factor::shadow::{Shadows, Visible};
 use crate::form_factor::{Accuracy, Batch, Patch};
 use crate::geometry::sampling::hash;
 use crate::progress::Progress;
@@ -55,32 +53,10 @@ pub struct Dense {
 /// Share of the row tolerance that goes to the unoccluded kernels: a small one, because they are cheap and their error,
 /// unlike that of sampling, may have the same sign everywhere.
 const KERNEL_SHARE: f64 = 0.02;
-/// Segments of the pilot round, which tells how many are needed.
-const PILOT: u32 = 16;
-/// The error of quasi-random visibility falls like segments^-RATE (measured 0.6 to 0.7; random would be 0.5).
-const RATE: f64 = 0.6;
-/// A pair gets no more segments than this: beyond, a finer mesh is the better answer.
-const MOST_SEGMENTS: u32 = 1 << 16;
-/// With more bodies in a shaft, rays are cheaper than shadows.
-const MOST_BODIES: usize = 8;
 /// Rounds after the pilot. Each plans from what the last one measured; two nearly always suffice.
 const ROUNDS: usize = 4;
 /// Fixed number of partial sums in a product, whatever the number of threads: the same bits every time.
 const PARTS: usize = 32;
-
-/// A pair between whose patches something may stand.
-#[derive(Debug, Clone, Copy)]
-struct Candidate {
-    i: u32,
-    j: u32,
-    /// Visible fraction, and its error: an estimate, or the expectation that segments leave which all agree.
-    visible: f64,
-    error: f64,
-    /// The error to be reached in the next round; infinite at first, when any will do, and 0 when there is nothing to do.
-    wanted: f64,
-    /// Segments that the estimate rests on; 0 when it comes from shadows.
-    segments: u32,
-}
 
 /// Memory for what is found on the way.
 struct Room {
@@ -142,9 +118,9 @@ impl Dense {
         let mut visibility_error = 0.0;
         for round in 0..=ROUNDS {
             segments += sample(&patches, &blockers, &mut candidates, options.seed, progress)?;
-            let errors = row_errors(scene.areas(), &exchange, &candidates);
+            let errors = row_errors(scene.areas(), &candidates);
             visibility_error = errors.iter().copied().fold(0.0, f64::max);
-            if round == ROUNDS || !plan(&mut candidates, scene.areas(), &exchange, budget) {
+            if round == ROUNDS || !plan(&mut candidates, scene.areas(), budget) {
                 break;
             }
         }
@@ -305,12 +281,6 @@ fn others(x: &[f64], i: usize, bands: usize) -> impl Iterator<Item = &[f64]> {
     x[..i * bands].chunks_exact(bands).chain(x[(i + 1) * bands..].chunks_exact(bands))
 }
 
-/// What blocks: as bodies, for shadows, and as patches, for segments.
-struct Blockers {
-    bodies: Bodies,
-    tree: Bvh,
-}
-
 /// Fills `packed` with the unoccluded exchange, and returns the pairs that something may stand between.
 fn unoccluded(
     patches: &[Patch],
@@ -338,13 +308,14 @@ fn unoccluded(
             batch.exchange_pairs(patches, patches, &pairs, &accuracy, row);
             let mut candidates = Vec::new();
             if !bodies.is_empty() {
-                for (j, _) in row.iter().enumerate().filter(|(_, g)| **g > 0.0) {
+                for (j, &exchange) in row.iter().enumerate().filter(|(_, g)| **g > 0.0) {
                     let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
                     if bodies.may_meet(&shaft) {
                         let (i, j) = (i as u32, j as u32);
                         candidates.push(Candidate {
                             i,
                             j,
+                            exchange,
                             visible: 1.0,
                             error: 1.0,
                             wanted: f64::INFINITY,
@@ -362,121 +333,4 @@ fn unoccluded(
         })
         .collect();
     Ok(found?.into_iter().flatten().collect())
-}
-
-/// Brings the error of every candidate to what is wanted, as far as that can be; returns how many segments were cast.
-fn sample(
-    patches: &[Patch],
-    blockers: &Blockers,
-    candidates: &mut [Candidate],
-    seed: u64,
-    progress: &Progress,
-) -> Result<u64> {
-    progress.expect(candidates.iter().filter(|c| c.wanted > 0.0).count() as u64);
-    let cast = AtomicU64::new(0);
-    candidates.par_chunks_mut(64).try_for_each_init(Shadows::default, |shadows, chunk| {
-        let mut done = 0;
-        for c in chunk.iter_mut().filter(|c| c.wanted > 0.0) {
-            let [a, b] = [c.i, c.j].map(|k| &patches[k as usize]);
-            let by_shadows = if c.segments > 0 { None } else { visible_by_shadows(shadows, blockers, c, a, b) };
-            if let Some(Visible { fraction, error }) = by_shadows {
-                (c.visible, c.error) = (fraction, error);
-            } else {
-                let segments = if c.segments == 0 {
-                    PILOT
-                } else {
-                    let more = (c.error / c.wanted).powf(1.0 / RATE);
-                    (f64::from(c.segments) * more).min(f64::from(MOST_SEGMENTS)).ceil() as u32
-                };
-                let end = |k: u32, p: &Patch| End { patch: k, triangle: p.corners, normal: p.normal };
-                let v = visible_fraction(&blockers.tree, &end(c.i, a), &end(c.j, b), segments, seed);
-                let error = error_to_count_with(&v, segments);
-                (c.visible, c.error, c.segments) = (v.value, error, segments);
-                cast.fetch_add(u64::from(segments), Ordering::Relaxed);
-            }
-            c.wanted = 0.0;
-            done += 1;
-        }
-        progress.advance(done)
-    })?;
-    Ok(cast.into_inner())
-}
-
-/// Segments that all agree leave the expectation 1 / (m + 2) for the part that none of them met (Laplace's rule of
-/// succession): a thin bar is missed by few segments. Where they do not agree, four replicates know their spread only to
-/// 40 %, and pairs whose spread looks small by chance would get no more segments: so half of the variance is what m
-/// segments leave in a cluttered shaft, measured as half the variance of random ones, V (1 - V) / 2 m.
-fn error_to_count_with(v: &VisibleFraction, segments: u32) -> f64 {
-    if v.standard_error == 0.0 {
-        return 1.0 / f64::from(segments + 2);
-    }
-    let usual = 0.5 * v.value * (1.0 - v.value) / f64::from(segments);
-    (0.5 * (v.standard_error * v.standard_error + usual)).sqrt()
-}
-
-/// The visible fraction from shadows, where few bodies can stand between and the patches are outside of all.
-fn visible_by_shadows(
-    shadows: &mut Shadows,
-    blockers: &Blockers,
-    c: &Candidate,
-    a: &Patch,
-    b: &Patch,
-) -> Option<Visible> {
-    if blockers.bodies.entangled(c.i) || blockers.bodies.entangled(c.j) {
-        return None;
-    }
-    let bodies = blockers.bodies.in_shaft(&Shaft::new(&a.corners, &b.corners), MOST_BODIES)?;
-    shadows.visible(a, b, &bodies, c.wanted)
-}
-
-/// For every row the sum over its candidates of the error of F_ij.
-fn row_errors(areas: &[f64], exchange: &[f64], candidates: &[Candidate]) -> Vec<f64> {
-    let mut errors = vec![0.0; areas.len()];
-    for c in candidates {
-        let (i, j) = (c.i as usize, c.j as usize);
-        let error = exchange[row_start(i) + j] * c.error;
-        errors[i] += error / areas[i];
-        errors[j] += error / areas[j];
-    }
-    errors
-}
-
-/// Sets what is wanted in the next round; false when no row is over the budget, or nothing more may be spent.
-///
-/// The work of a pair grows when its error falls, whatever its size: the cheapest way to bring a row inside its budget is
-/// one limit for all errors in it, so high that the errors under it and the limit for all others add up to the budget.
-fn plan(candidates: &mut [Candidate], areas: &[f64], exchange: &[f64], budget: f64) -> bool {
-    // A little less than allowed: one more round would cost as much again.
-    const MARGIN: f64 = 0.85;
-    /// Each pass raises the limits towards the fixed point.
-    const PASSES: usize = 8;
-    let both = |c: &Candidate| {
-        let (i, j) = (c.i as usize, c.j as usize);
-        let g = exchange[row_start(i) + j];
-        [(i, g * c.error / areas[i]), (j, g * c.error / areas[j])]
-    };
-    let mut limits = vec![0.0; areas.len()];
-    for _ in 0..=PASSES {
-        let (mut under, mut over) = (vec![0.0; areas.len()], vec![0.0; areas.len()]);
-        for (row, error) in candidates.iter().flat_map(both) {
-            if error <= limits[row] { under[row] += error } else { over[row] += 1.0 }
-        }
-        for (row, limit) in limits.iter_mut().enumerate() {
-            *limit = if over[row] == 0.0 { f64::INFINITY } else { (MARGIN * budget - under[row]) / over[row] };
-        }
-    }
-    let errors = row_errors(areas, exchange, candidates);
-    let mut more = false;
-    for c in candidates {
-        let g = exchange[row_start(c.i as usize) + c.j as usize];
-        let wanted = [c.i as usize, c.j as usize]
-            .into_iter()
-            .filter(|&row| errors[row] > budget)
-            .map(|row| limits[row] * areas[row] / g)
-            .fold(f64::INFINITY, f64::min);
-        let spent = c.segments >= MOST_SEGMENTS;
-        c.wanted = if c.error > wanted && !spent { wanted } else { 0.0 };
-        more |= c.wanted > 0.0;
-    }
-    more
 }

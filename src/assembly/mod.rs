@@ -3,11 +3,13 @@
 //! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply
 //! - [`dense`]: the symmetric exchange of every pair, occluded, stored once
 //! - [`sampled`]: rows by Monte Carlo or hemicube, stored sparsely
+//! - [`hidden`]: how much of each pair is visible, and where work is spent
 //! - [`matrix`]: matrices that the user brings, dense or sparse
 //! - [`balance`]: row sums, remainder, reciprocity, and the repair of the first
 
 pub mod balance;
 pub mod dense;
+mod hidden;
 pub mod matrix;
 pub mod operator;
 pub mod sampled;

@@ -14,7 +14,7 @@
 //! | [`contour`] | double line integral, the inner one analytic | touching and close pairs |
 //! | [`select`] | which of them, for a tolerance | |
 //! | [`pieces`] | cut polygons, where no kernel can do the whole | slivers, very unequal sizes |
-//! | [`batch`] | many pairs, eight at a time | |
+//! | [`batch`] | many pairs, eight at a time ([`lanes`]) | |
 //! | [`occluded`] | the visible fraction V of a pair | |
 //!
 //! Two older estimators work row by row instead, occlusion included, with a sampling error in every entry; both send
@@ -43,14 +43,17 @@ pub mod batch;
 pub mod contour;
 pub mod emitter;
 pub mod hemicube;
+mod lanes;
 pub mod monte_carlo;
 pub mod occluded;
+mod patch;
 mod pieces;
 pub mod point_to_polygon;
 pub mod select;
 pub mod shadow;
 
-pub use batch::{Batch, Patch};
+pub use batch::Batch;
+pub use patch::Patch;
 pub use select::{Accuracy, Kernel};
 
 use crate::geometry::Vec3;

@@ -4,7 +4,7 @@
 //! a rule, or of a size at which the contour integral keeps its digits: log2 of the ratio of sizes many cuts where the two
 //! come close in one place.
 
-use super::select::Kernel;
+use super::select::{CONTOUR, ratios};
 use super::{Accuracy, Shape};
 use crate::geometry::Vec3;
 use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
@@ -25,8 +25,8 @@ pub(super) fn pieces(pair: Pair, accuracy: &Accuracy, allowed: f64) -> Option<Ve
             continue;
         }
         let (small, large) = if a.area <= b.area { (&a, &b) } else { (&b, &a) };
-        let [q_area, q_point] = super::batch::ratios(small, large);
-        let contour = accuracy.choice(q_area, q_point) == Kernel::ALL.len() - 1;
+        let [q_area, q_point] = ratios(small, large);
+        let contour = accuracy.choice(q_area, q_point) == CONTOUR;
         if !contour || rounding(small, large) <= allowed {
             done.push(pair);
             continue;

@@ -5,6 +5,7 @@
 //! threshold that kept 99.9 % of some thousand mixed pairs inside the tolerance with a safety of 4; pairs that no ratio
 //! admits go to the contour integral.
 
+use super::Shape;
 use crate::error::{Error, Result};
 use crate::geometry::quadrature::TriangleRule;
 use crate::simd::double::Double;
@@ -138,6 +139,17 @@ impl Accuracy {
         choice
     }
 }
+
+/// The ratios q_area and q_point of a pair.
+pub(super) fn ratios(small: &Shape, large: &Shape) -> [f64; 2] {
+    let distance = small.centre.distance(large.centre);
+    let to_plane = large.normal.dot(small.centre - large.centre).abs();
+    let nearest = to_plane.max(distance - large.radius).max(f64::MIN_POSITIVE);
+    [(small.radius + large.radius) / distance, small.radius / nearest]
+}
+
+/// The place of the contour integral among the kernels.
+pub(super) const CONTOUR: usize = Kernel::ALL.len() - 1;
 
 /// The relative error that the densest point rule is known to keep at a ratio q_point; infinite beyond the table.
 pub(super) fn densest_point_error(q_point: f64) -> f64 {

@@ -103,9 +103,9 @@ pub(crate) fn prefetch(pointer: *const u8, bytes: usize) {
 
 /// Compiles `kernel::<M>(..)` for every machine, as one function that takes the [`Instructions`] first.
 macro_rules! for_every_machine {
-    ($(#[$doc:meta])* fn $name:ident($($arg:ident: $type:ty),* $(,)?) -> $out:ty = $kernel:ident) => {
+    ($(#[$doc:meta])* $visibility:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) -> $out:ty = $kernel:ident) => {
         $(#[$doc])*
-        fn $name(instructions: $crate::simd::Instructions, $($arg: $type),*) -> $out {
+        $visibility fn $name(instructions: $crate::simd::Instructions, $($arg: $type),*) -> $out {
             use $crate::simd;
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt")]

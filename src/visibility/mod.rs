@@ -10,7 +10,7 @@
 //! - [`sift`]: the f32 tests that both rely on; [`crate::simd`]: their vectors
 //! - [`intersect`]: the watertight test in f64 that decides (Woop, Benthin & Wald 2013); [`own_surface`]: what a ray leaves
 //!   out of account
-//! - [`bodies`]: what blocks, merged to few convex bodies ([`body`]); [`shaft`]: which of them may stand between two patches;
+//! - [`bodies`]: what blocks, merged ([`merge`], [`solids`]) to few convex bodies ([`body`]); [`shaft`]: which of them may stand between two patches;
 //!   [`box_tree`]: where they are looked up
 //!
 //! The conversion to f32, the normalisation of coordinates and the self-hit rule live in this folder and nowhere else.
@@ -23,10 +23,12 @@ mod build;
 mod bundle;
 pub mod bvh;
 mod intersect;
+mod merge;
 mod own_surface;
 mod ray;
 pub mod shaft;
 mod sift;
+mod solids;
 mod traverse;
 mod wide;
 

@@ -137,7 +137,7 @@ def stack():
     vertices, faces = [room.vertices], [room.faces]
     for storey in range(10):
         first = len(room.vertices) + 4 * storey
-        vertices.append(square + [0, 0, 0.3 + 0.03 * storey])
+        vertices.append(square + np.array([0, 0, 0.3 + 0.03 * storey]))
         faces.append(first + np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]]))
     return rad.Scene(np.concatenate(vertices), np.concatenate(faces))
 
