@@ -64,9 +64,12 @@ const FLAT: f64 = 1e-11;
 /// What may hide in a triangle of which every point sees all, or nothing: between the points near its border, or beyond.
 const UNSEEN: f64 = 1e-2;
 
-/// The error of the rule where a kink crosses a triangle, relative to [`bend`]: the two differences of a cell may be small
+/// The error of the rule where a kink crosses a triangle, relative to the [`bend`]: the two differences of a cell may be small
 /// by chance, and among some ten thousand cells some are.
 const KINK: f64 = 0.1;
+/// What neither differences nor bend may show: a shadow that lies between the points but for a corner of it. Of a part of the
+/// triangle it is as much less as the part is smaller: the shadow's border runs through fewer of them, and reaches less deep.
+const CHANCE: f64 = 4e-3;
 
 /// The fraction of the exchange of a pair that is visible, and an estimate of its error.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -271,12 +274,12 @@ impl Shadows {
                 (hidden - if coarse_all > 0.0 { coarse * (all / coarse_all) } else { 0.0 }).abs()
             };
             let error = if hides && shows {
-                difference(COARSE[0]).max(difference(COARSE[1])).max(KINK * bend(sums) * all)
+                let chance = CHANCE * area / whole;
+                difference(COARSE[0]).max(difference(COARSE[1])).max((KINK * bend(sums)).max(chance) * all)
             } else if self.is_proven(&triangle, target, solids, hides) {
                 0.0
             } else {
-                // The smaller the triangle, the less can hide in it.
-                UNSEEN * (area / whole).sqrt() * all.abs()
+                UNSEEN * area / whole * all.abs()
             };
             cells.push(Cell { triangle, hidden, all, error });
         }

@@ -29,24 +29,34 @@ def test_exact_form_factors_are_met(case, tolerance):
     assert abs(value - case["F_ab"]) <= tolerance * case["F_ab"] + case["abs_tolerance_of_value"]
 
 
-# The a-priori thresholds kept 99.9 % of the pairs that they were measured on inside the tolerance; here all but one in
-# a thousand must be. Below 1e-6 slivers of aspect 1e4 and more lose digits to cancellation in every kernel, so they are
-# held to 2e-3, which is what they reach.
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
-def test_pairs_known_to_300_bits_are_met(pairs, tolerance):
+# What is promised: 99.9 % of the pairs are inside the tolerance, the worst within ten times of it. At 1e-10, the best that
+# can be had, slivers of aspect 1e4 and more and triangles of 1e-6 close to one of 1 lose digits to rounding: 99 %.
+@pytest.mark.parametrize(
+    ("tolerance", "inside", "worst"),
+    [(1e-2, 0.999, 10), (1e-3, 0.999, 10), (1e-4, 0.999, 10), (1e-6, 0.999, 10), (1e-8, 0.999, 10), (1e-10, 0.99, 1e3)],
+)
+def test_pairs_known_to_300_bits_are_met(pairs, tolerance, inside, worst):
     value = rad.pair_form_factors(pairs["a"], pairs["b"], tolerance=tolerance)
     assert np.isfinite(value).all()
     assert (value >= 0).all()
+    assert (value[pairs["case"] == "backface"] == 0).all()
     error = np.abs(value - pairs["f_ab"])
     # "Coplanar" triangles of rotated coordinates have exact factors of 1e-34: 0 is right in double precision.
     relative = np.where(pairs["f_ab"] > 1e-30, error / np.maximum(pairs["f_ab"], 1e-30), error)
-    hard = np.isin(pairs["case"], ["sliver_1e4", "sliver_1e6", "tiny1e-6_close"])
-    if tolerance >= 1e-3:
-        hard[:] = False
-    assert np.mean(relative[~hard] <= tolerance) >= 0.999
-    # The worst of those that were measured exceeded its tolerance by a factor of 2.4.
-    assert relative[~hard].max() <= 3 * tolerance
-    assert relative[hard].max(initial=0.0) <= 2e-3
+    assert np.mean(relative <= tolerance) >= inside
+    assert relative.max() <= worst * tolerance
+
+
+@pytest.mark.parametrize(("tolerance", "closed"), [(1e-2, 1e-3), (1e-4, 1e-6), (1e-8, 1e-10)])
+def test_rows_of_a_cube_are_better_than_the_tolerance_of_its_pairs(tolerance, closed):
+    room = rad.scenes.furnace(max_edge=0.2)
+    corners = room.vertices[room.faces]
+    i, j = np.triu_indices(room.n_patches, 1)
+    exchange = np.zeros((room.n_patches, room.n_patches))
+    exchange[i, j] = room.areas[i] * rad.pair_form_factors(corners[i], corners[j], tolerance=tolerance)
+    sums = (exchange + exchange.T).sum(axis=1) / room.areas
+    # Errors of either sign, most of them far below the tolerance: a tenth or less is left in a row.
+    assert np.abs(sums - 1).max() <= closed
 
 
 def test_reciprocity_of_pairs_is_exact_up_to_one_division(pairs):

@@ -12,5 +12,6 @@ mod form_factor_estimators;
 mod geometry;
 mod render;
 mod scene;
+mod shadow;
 mod solve;
 mod visibility;
