@@ -29,6 +29,7 @@ lint: .venv/test
 
 bench: .venv/test
 	$(PIP) embreex || echo "embreex cannot be installed here: no comparison with Embree"
+	$(PIP) pyviewfactor || echo "pyviewfactor cannot be installed here: no comparison with it"
 	for bench in benches/*.py; do $(BIN)/python $$bench || exit 1; done
 
 # The environment is made anew when what it is built from has changed.

@@ -29,8 +29,8 @@ def test_exact_form_factors_are_met(case, tolerance):
     assert abs(value - case["F_ab"]) <= tolerance * case["F_ab"] + case["abs_tolerance_of_value"]
 
 
-# What is promised: 99.9 % of the pairs are inside the tolerance, the worst within ten times of it. At 1e-10, the best that
-# can be had, slivers of aspect 1e4 and more and triangles of 1e-6 close to one of 1 lose digits to rounding: 99 %.
+# What is promised: 99.9 % of the pairs are inside the tolerance, the worst within ten times of it. At 1e-10, the best
+# that can be had, slivers of aspect 1e4 and more and triangles of 1e-6 close to one of 1 lose digits to rounding: 99 %.
 @pytest.mark.parametrize(
     ("tolerance", "inside", "worst"),
     [(1e-2, 0.999, 10), (1e-3, 0.999, 10), (1e-4, 0.999, 10), (1e-6, 0.999, 10), (1e-8, 0.999, 10), (1e-10, 0.99, 1e3)],

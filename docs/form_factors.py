@@ -1,0 +1,68 @@
+"""Draws docs/form_factors.png: error against cost of every kernel, and row error against time of a room with occlusion.
+
+Run it as ``python docs/form_factors.py``; it needs Rust (for the kernels' bench) and the extra ``plot``.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "benches"))
+
+import form_factor as bench  # noqa: E402
+
+SETS = {"near_1_2": "1 to 2 diameters", "mid_2_10": "2 to 10 diameters", "far_10_100": "10 to 100 diameters"}
+KERNELS = ("area P3", "area P6", "point P7", "area P12", "point P12", "point P16", "contour")
+
+
+def kernels(axes: plt.Axes) -> None:
+    """From the last table of the bench: three numbers a kernel, ns, median and worst relative error."""
+    output = subprocess.run(
+        [sys.executable, str(ROOT / "benches" / "form_factor.py"), "kernels"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    rows = {row[0]: row[1:] for row in map(str.split, output.splitlines()) if len(row) == 1 + 3 * len(KERNELS)}
+    for colour, (name, label) in zip(("C0", "C1", "C2"), SETS.items(), strict=True):
+        ns, median, worst = np.array(rows[name], float).reshape(-1, 3).T
+        axes.vlines(ns, np.maximum(median, 1e-16), worst, colour, alpha=0.4)
+        axes.plot(ns, worst, "v", color=colour, label=f"{label}, worst")
+        axes.plot(ns, np.maximum(median, 1e-16), "o", color=colour, mfc="white", label=f"{label}, median")
+        if name == "near_1_2":
+            for kernel, x, y in zip(KERNELS, ns, worst, strict=True):
+                axes.annotate(
+                    kernel, (x, y), xytext=(0, 6), textcoords="offset points", fontsize=7, ha="center", rotation=35
+                )
+    axes.set(xscale="log", yscale="log", xlabel="ns a pair, one thread", ylabel="relative error", ylim=(3e-17, 10))
+    axes.set_title("kernels, triangles without occlusion")
+    axes.legend(fontsize=7, loc="lower left")
+
+
+def rooms(axes: plt.Axes) -> None:
+    scene = bench.box_room(1)
+    converged = bench.timed(scene, 3e-5, runs=1)[1].toarray()
+    for method, tolerances in (("analytic", (1e-1, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)), ("monte_carlo", (0.5, 0.2, 0.1))):
+        results = [(tolerance, *bench.timed(scene, tolerance, 1, method)) for tolerance in tolerances]
+        errors = [bench.row_error(F.toarray(), converged) for _, _, F in results]
+        axes.plot([seconds for _, seconds, _ in results], errors, "o-", label=method)
+        for (tolerance, seconds, _), error in zip(results, errors, strict=True):
+            axes.annotate(f"{tolerance:g}", (seconds, error), xytext=(5, 3), textcoords="offset points", fontsize=7)
+    axes.set(xscale="log", yscale="log", xlabel="seconds, all cores", ylabel="true row error")
+    axes.set_title("room with two boxes, 1,152 triangles, by tolerance")
+    axes.legend(fontsize=8)
+
+
+def main() -> None:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
+    kernels(left)
+    rooms(right)
+    figure.savefig(ROOT / "docs" / "form_factors.png", dpi=130)
+
+
+if __name__ == "__main__":
+    main()
