@@ -44,6 +44,7 @@ def kernels(axes: plt.Axes) -> None:
 
 
 def rooms(axes: plt.Axes) -> None:
+    """Row error against seconds, a point a tolerance."""
     scene = bench.box_room(1)
     converged = bench.timed(scene, 3e-5, runs=1)[1].toarray()
     for method, tolerances in (("analytic", (1e-1, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)), ("monte_carlo", (0.5, 0.2, 0.1))):
@@ -58,6 +59,7 @@ def rooms(axes: plt.Axes) -> None:
 
 
 def main() -> None:
+    """Writes the picture."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
     kernels(left)
     rooms(right)

@@ -48,7 +48,7 @@ def form_factor(polygon_a: Any, polygon_b: Any, tolerance: float = 1e-8) -> floa
         ValueError: a polygon that is not planar, not convex, or without area; a tolerance out of range.
 
     Sources:
-        Lambert 1760 (point to polygon); Sparrow 1963 (double contour integral); docs/form_factors.md has errors and costs.
+        Lambert 1760 (point to polygon); Sparrow 1963 (double contour integral).
     """
     a, b = shaped("polygon_a", polygon_a, "k", 3), shaped("polygon_b", polygon_b, "l", 3)
     return _core.form_factor(a, b, float(tolerance))
@@ -92,11 +92,12 @@ def form_factors(
             ``.error_estimate``.
         method: ``"auto"`` chooses. The last two are for teaching, and as checks that share no formula with the first:
 
-            - ``"analytic"``: exact kernels times the visible fraction, reciprocity exact, stored densely. Two hundredths
-              of the tolerance go to the unoccluded kernels. What blocks is merged to convex bodies; where no body stands
-              between two patches nothing is done, where up to eight do their shadows are exact from every point and
-              averaged over one of the patches; where more do, or a patch reaches into a body, quasi-random segments are
-              cast (at most 65,536 a pair). The work goes where it brings a row inside its tolerance for the least.
+            - ``"analytic"``: exact kernels times the visible fraction, reciprocity exact, stored densely. Two
+              hundredths of the tolerance go to the unoccluded kernels. What blocks is merged to convex bodies; where no
+              body stands between two patches nothing is done, where up to eight do their shadows are exact from every
+              point and averaged over one of the patches; where more do, or a patch reaches into a body, quasi-random
+              segments are cast (at most 65,536 a pair). The work goes where it brings a row inside its tolerance for
+              the least.
             - ``"monte_carlo"``: random rays, cosine-distributed; F_ij is the fraction that meets the front of j first.
               As many a patch as the expected row error, the sum over j of E abs(dF_ij), asks for, 1,024 to 1,048,576.
               n patches seen alike need about 0.6 n / tolerance^2 of them.
