@@ -1,7 +1,7 @@
 //! Area-area quadrature: G = sum over p in a, q in b of w_p w_q K(p, q).
 //!
 //! K(p, q) = cos_a cos_b / (pi r^2) (the kernel without visibility), points and weights by
-//! [`TriangleRule`](crate::geometry::quadrature::TriangleRule) on a fan of triangles. Some multiplications and half a
+//! [`TriangleRule`] on a fan of triangles. Some multiplications and half a
 //! division a point pair; no transcendental functions, no cancellation.
 //! Valid for pairs more than about two diameters apart: the relative error falls like q^(d + 1), q the size over the
 //! distance, d the degree of the rule. Useless for touching pairs.

@@ -74,6 +74,17 @@ pub enum Side {
     Across,
 }
 
+impl Side {
+    /// Of something that has points before the plane, behind it, or both.
+    pub fn of(before: bool, behind: bool) -> Side {
+        match (before, behind) {
+            (true, false) => Side::Front,
+            (false, _) => Side::Behind,
+            (true, true) => Side::Across,
+        }
+    }
+}
+
 /// On which side of `plane` the corners lie, within rounding.
 #[inline]
 pub fn side_of(corners: &[Vec3], plane: &Plane) -> Side {
@@ -83,11 +94,7 @@ pub fn side_of(corners: &[Vec3], plane: &Plane) -> Side {
         before |= distance > 0.0;
         behind |= distance < 0.0;
     }
-    match (before, behind) {
-        (true, false) => Side::Front,
-        (false, _) => Side::Behind,
-        (true, true) => Side::Across,
-    }
+    Side::of(before, behind)
 }
 
 /// The part of a convex polygon in front of a plane, in `out`; empty when nothing of positive area lies there.

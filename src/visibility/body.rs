@@ -70,11 +70,7 @@ impl Body {
             before |= d > 0.0;
             behind |= d < 0.0;
         }
-        match (before, behind) {
-            (true, false) => Side::Front,
-            (false, _) => Side::Behind,
-            (true, true) => Side::Across,
-        }
+        Side::of(before, behind)
     }
 
     /// The part in front of a plane that cuts the body: edges are cut, and each face that the plane cuts gets an edge along the

@@ -8,7 +8,7 @@ use radiosity::solve::{Audit, METHODS, Method, Options, Solved, Step, System, so
 use radiosity::{Error, Result};
 
 use crate::common::{
-    Mesh, PLENTY, Random, assert_close, box_in_box, cube, dense, icosphere, invalid, stack_in_box, table, two_plates,
+    Mesh, PLENTY, Random, assert_close, cube, dense, icosphere, invalid, stack_in_box, table, two_plates,
 };
 
 fn options(tolerance: f64) -> Options {
