@@ -58,7 +58,7 @@ pub(super) fn sample(
 ) -> Result<u64> {
     progress.expect(candidates.iter().filter(|c| c.wanted > 0.0).count() as u64);
     let cast = AtomicU64::new(0);
-    candidates.par_chunks_mut(64).try_for_each_init(Shadows::default, |shadows, chunk| {
+    candidates.par_chunks_mut(8).try_for_each_init(Shadows::default, |shadows, chunk| {
         let mut done = 0;
         for c in chunk.iter_mut().filter(|c| c.wanted > 0.0) {
             let [a, b] = [c.i, c.j].map(|k| &patches[k as usize]);
