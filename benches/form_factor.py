@@ -50,7 +50,8 @@ def box_room(fineness: int) -> rad.Scene:
     return rad.Scene(mesh.vertices, mesh.faces, 0.5)
 
 
-def pairs() -> None:
+def pairs(*arguments: str) -> None:
+    """Runs the Rust bench on the sets of exact pairs."""
     with np.load(DATA / "form_factor_pairs.npz") as data:
         a, b, exact, case = data["a"], data["b"], data["f_ab"], data["case"]
     # Exact values below 1e-30 belong to coplanar triangles with rounded corners: 0 in double precision.
@@ -61,7 +62,7 @@ def pairs() -> None:
             rows[case == name].astype("<f8").tofile(Path(folder) / f"{name}.bin")
         sys.stdout.flush()
         subprocess.run(
-            ["cargo", "bench", "--quiet", "--bench", "form_factor"],
+            ["cargo", "bench", "--quiet", "--bench", "form_factor", "--", *arguments],
             cwd=ROOT,
             env={**os.environ, "RADIOSITY_PAIRS": folder},
             check=True,
@@ -120,38 +121,48 @@ def peer(scene: rad.Scene, converged: np.ndarray) -> None:
         return
     faces = np.insert(scene.faces, 0, 3, axis=1).ravel()
     mesh = pyvista.PolyData(np.array(scene.vertices), faces)
-    # The first call compiles.
-    for label in ("compiling", "again"):
+    # Patches under a box see nothing of the room.
+    clear = converged.sum(axis=1) > 1 - 1e-3
+    seconds = []
+    for _ in range(2):
         start = time.perf_counter()
-        # Its F[i, j] leaves j and reaches i.
-        F = compute_viewfactor_matrix(mesh).T
-        seconds = time.perf_counter() - start
-        errors = np.abs(F - converged).sum(axis=1)
-        print(f"{scene.n_patches:9d} pyViewFactor, {label}: {seconds:.2f} s, row error {errors.max():.1e}", end="")
-        print(f", median of the rows {np.median(errors):.1e}")
+        # Without obstacles it takes none, not even the mesh. Its F[i, j] leaves j and reaches i.
+        F = compute_viewfactor_matrix(mesh, obstacles=[mesh]).T
+        seconds.append(time.perf_counter() - start)
+    # The first call compiles.
+    print(
+        f"{scene.n_patches:9d} pyViewFactor: {seconds[1]:.2f} s ({seconds[0]:.2f} s with compilation), row error",
+        end="",
+    )
+    errors = np.abs(F - converged).sum(axis=1)
+    print(
+        f" {errors.max():.2g}, of rows not under a box {errors[clear].max():.2g}, median row {np.median(errors):.2g};"
+    )
+    print(f"          row sums not under a box off by {np.abs(F[clear].sum(axis=1) - 1).max():.2g}")
 
 
 def obstructed() -> None:
     case = json.loads((DATA / "view_factors.json").read_text(encoding="utf-8"))["obstructed"][0]
-    polygons = [
-        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
-        [[0, 0, 1], [0, 1, 1], [1, 1, 1], [1, 0, 1]],
-        [[0.1, 0.1, 0.5], [0.6, 0.1, 0.5], [0.6, 0.6, 0.5], [0.1, 0.6, 0.5]],
+    corners = [
+        *([0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]),
+        *([0, 0, 1], [0, 1, 1], [1, 1, 1], [1, 0, 1]),
+        *([0.1, 0.1, 0.5], [0.6, 0.1, 0.5], [0.6, 0.6, 0.5], [0.1, 0.6, 0.5]),
     ]
-    faces = np.concatenate([[[4 * k, 4 * k + 1, 4 * k + 2], [4 * k, 4 * k + 2, 4 * k + 3]] for k in range(3)])
-    scene = rad.Scene(np.concatenate(polygons), faces)
-    print("\ntwo squares and an obstacle, six triangles\n")
+    faces = np.concatenate([[[k, k + 1, k + 2], [k, k + 2, k + 3]] for k in (0, 4, 8)])
+    # The obstacle has both its sides.
+    scene = rad.Scene(np.array(corners, float), np.concatenate([faces, faces[4:, ::-1]]))
+    print("\ntwo squares and an obstacle with both its sides, eight triangles\n")
     print(f"{'tolerance':>10s} {'seconds':>8s} {'error':>9s}")
     for tolerance in (1e-3, 1e-4, 1e-5):
         seconds, F = timed(scene, tolerance)
-        # All patches of a square are halves: the mean of two rows is the factor from square to square.
+        # The patches of a square are halves: the mean of two rows is the factor from square to square.
         error = abs(F.toarray()[:2, 2:4].sum(axis=1).mean() - case["F_ab"])
-        print(f"{tolerance:10.0e} {seconds:8.3f} {error:9.1e}")
+        print(f"{tolerance:10.0e} {seconds:8.4f} {error:9.1e}")
 
 
 def main() -> None:
-    pairs()
-    if sys.argv[1:] == ["kernels"]:
+    pairs(*sys.argv[1:])
+    if sys.argv[1:]:
         return
     exact_cases()
     rooms()

@@ -1,5 +1,6 @@
 //! Kernel x set x cost x error, and pairs a second of a whole room; run by `form_factor.py`, which writes the sets
-//! (`RADIOSITY_PAIRS`, a folder of files of 19 f64 a pair: a, b, exact F_ab).
+//! (`RADIOSITY_PAIRS`, a folder of files of 19 f64 a pair: a, b, exact F_ab). The argument `kernels` leaves the first
+//! table only.
 //!
 //! Times are CPU times of the one thread, medians. Errors are relative, of all pairs of a set or all rows of a room.
 #![expect(clippy::print_stdout, clippy::expect_used, reason = "a bench prints, and stops at what is wrong")]
@@ -166,12 +167,18 @@ fn room() {
 }
 
 fn main() {
-    room();
+    // The picture of docs/form_factors.py needs one table only.
+    let everything = !std::env::args().any(|argument| argument == "kernels");
+    if everything {
+        room();
+    }
     let Some(folder) = std::env::var_os("RADIOSITY_PAIRS") else { return };
     let mut paths: Vec<PathBuf> =
         std::fs::read_dir(folder).expect("the folder of the sets").flatten().map(|entry| entry.path()).collect();
     paths.sort();
     let sets: Vec<Set> = paths.iter().map(|path| read(path)).collect();
-    tolerances(&sets);
+    if everything {
+        tolerances(&sets);
+    }
     kernels(&sets);
 }
