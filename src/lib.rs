@@ -21,8 +21,10 @@
 //! - [`scene`]: patches and their materials, validated
 //! - [`visibility`]: does x see y?
 //! - [`form_factor`]: F of one pair, to a tolerance
+//! - [`direct`]: light straight from the emitters
 //! - [`assembly`]: F of a scene as an operator
 //! - [`solve`]: matrix inversion, Jacobi, Gauss-Seidel, Southwell, GMRES
+//! - [`accuracy`]: a scene solved to a tolerance of the true error
 //! - [`render`]: pictures of a solution
 //!
 //! [`error`], [`progress`] and [`simd`] serve all of them. The core knows no Python, prints nothing, reads no files.
@@ -30,7 +32,9 @@
 //! References: M. F. Cohen & J. R. Wallace, "Radiosity and Realistic Image Synthesis", 1993; F. X. Sillion & C. Puech,
 //! "Radiosity and Global Illumination", 1994.
 
+pub mod accuracy;
 pub mod assembly;
+pub mod direct;
 pub mod error;
 pub mod form_factor;
 pub mod geometry;

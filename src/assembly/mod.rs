@@ -3,6 +3,7 @@
 //! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply
 //! - [`dense`]: the symmetric exchange of every pair, occluded, stored once
 //! - [`sampled`]: rows by Monte Carlo or hemicube, stored sparsely
+//! - [`rays`]: rows by quasi-random rays, constant or linear on every patch
 //! - [`hidden`]: how much of each pair is visible, and where work is spent
 //! - [`matrix`]: matrices that the user brings, dense or sparse
 //! - [`balance`]: row sums, remainder, reciprocity, and the repair of the first
@@ -12,8 +13,10 @@ pub mod dense;
 mod hidden;
 pub mod matrix;
 pub mod operator;
+pub mod rays;
 pub mod sampled;
 
 pub use dense::{Dense, DenseOptions};
 pub use operator::FormFactors;
+pub use rays::{Order, Rays};
 pub use sampled::{Estimator, Sampled, SampledOptions};

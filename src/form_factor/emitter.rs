@@ -46,7 +46,7 @@ impl<'a> Emitter<'a> {
 
     /// The ray from `origin` to where (x, y, z) points; z is along the normal.
     #[inline]
-    pub(super) fn ray(&self, origin: Vec3, [x, y, z]: [f64; 3]) -> Ray {
+    pub(crate) fn ray(&self, origin: Vec3, [x, y, z]: [f64; 3]) -> Ray {
         let direction = x * self.tangents[0] + y * self.tangents[1] + z * self.normal;
         Ray { origin, direction, exclude: self.patch }
     }

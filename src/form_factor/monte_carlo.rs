@@ -17,11 +17,11 @@
 //! the others. The two are joined: 2 / m for a count of 1, the normal value from 2 up. For L = 1 that overstates the
 //! expectation by 44 %, for L = 3 by 10 %; nowhere is it understated by more than 3 %.
 
-use std::f64::consts::{FRAC_2_PI, TAU};
+use std::f64::consts::FRAC_2_PI;
 
 use super::emitter::{BUNDLE, Emitter, Tally};
 use crate::error::Result;
-use crate::geometry::sampling::{Random, hash, point_in_triangle};
+use crate::geometry::sampling::{Random, cosine_direction, hash, point_in_triangle};
 use crate::progress::Progress;
 use crate::visibility::Ray;
 
@@ -72,9 +72,7 @@ pub fn row(emitter: &Emitter, tolerance: f64, seed: u64, tally: &mut Tally, prog
 /// A ray from a uniform point of the patch in a cosine-distributed direction.
 fn cosine_ray(emitter: &Emitter, random: &mut Random) -> Ray {
     let [u, v, s, t] = std::array::from_fn(|_| random.uniform());
-    let (sine, cosine) = (TAU * t).sin_cos();
-    let radius = s.sqrt();
-    emitter.ray(point_in_triangle(&emitter.triangle, u, v), [radius * cosine, radius * sine, (1.0 - s).sqrt()])
+    emitter.ray(point_in_triangle(&emitter.triangle, u, v), cosine_direction(s, t))
 }
 
 /// sum over j of E|dF_ij| after m rays, from the counts that are not 0.

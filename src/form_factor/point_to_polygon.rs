@@ -37,8 +37,9 @@ pub(super) fn exchange<D: Double>(small: &Polygons<D>, large: &Polygons<D>, rule
     sum.max(D::splat(0.0))
 }
 
+/// The same for eight points in front of one polygon, all of whose corners lie before every point's horizon.
 #[inline(always)]
-fn gathered<D: Double>(x: Vectors<D>, normal: Vectors<D>, corners: &[Vectors<D>]) -> D {
+pub(crate) fn gathered<D: Double>(x: Vectors<D>, normal: Vectors<D>, corners: &[Vectors<D>]) -> D {
     let mut sum = D::splat(0.0);
     let mut r0 = corners[corners.len() - 1] - x;
     for &corner in corners {

@@ -121,6 +121,22 @@ fn owen_scramble(word: u32, seed: u32) -> u32 {
     x.reverse_bits()
 }
 
+/// The direction that belongs to (s, t) in the unit square, with density cos / pi about z: a uniform point of the unit disk,
+/// lifted to the hemisphere (Malley 1988).
+#[inline]
+pub fn cosine_direction(s: f64, t: f64) -> [f64; 3] {
+    let (sine, cosine) = (std::f64::consts::TAU * t).sin_cos();
+    let radius = s.sqrt();
+    [radius * cosine, radius * sine, (1.0 - s).sqrt()]
+}
+
+/// The barycentric coordinates of corners 1 and 2 of the point that [`point_in_triangle`] takes.
+#[inline]
+pub fn barycentric(u: f64, v: f64) -> [f64; 2] {
+    let s = u.sqrt();
+    [s * (1.0 - v), s * v]
+}
+
 /// The uniform point of a triangle that belongs to (u, v) in the unit square (Turk 1990).
 #[inline]
 pub fn point_in_triangle(triangle: &Triangle, u: f64, v: f64) -> Vec3 {

@@ -2,6 +2,7 @@
 //!
 //! Shapes, defaults and documentation are in `python/radiosity/`; nothing here is public to users.
 
+mod accuracy;
 mod assembly;
 mod convert;
 mod error;
@@ -15,6 +16,8 @@ use pyo3::prelude::*;
 
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::accuracy::{forecast_scene, solve_scene};
     #[pymodule_export]
     use super::assembly::FormFactors;
     #[pymodule_export]

@@ -13,7 +13,7 @@
 //!
 //! One GMRES run to a few per cent carries all of them, each as a band of its own.
 
-use super::{Method, Options, Run, System, gmres, norms};
+use super::{System, norms, propagated};
 use crate::error::Result;
 
 /// Realisations of the sampling error. Its part that all patches share, which matters in white rooms, is known from them
@@ -21,8 +21,6 @@ use crate::error::Result;
 const DRAWS: u64 = 4;
 /// An estimate need not be better than this.
 const TOLERANCE: f64 = 0.03;
-/// Steps after which the system is taken for one that has no finite solution.
-const MOST_STEPS: usize = 500;
 
 /// The error of a radiosity.
 pub(super) struct Estimate {
@@ -43,7 +41,7 @@ pub(super) fn estimate(system: &System, radiosity: &[f64], irradiance: &[f64], u
     }
     let reflected: Vec<f64> = radiosity.iter().zip(emission).map(|(b, e)| b - e).collect();
     let light = norms(system, &reflected);
-    let Some(errors) = propagated(system, &sources)? else {
+    let Some(errors) = propagated(system, &sources, TOLERANCE, &mut |_, _, _| Ok(()))? else {
         return Ok(Estimate { error: f64::INFINITY, standard_error: None });
     };
     let sizes: Vec<Vec<f64>> = errors.iter().map(|error| norms(system, error)).collect();
@@ -69,34 +67,4 @@ pub(super) fn estimate(system: &System, radiosity: &[f64], irradiance: &[f64], u
         both.map(|(k, (h, rho))| if *rho > 0.0 { (rho * h).hypot(later[k % bands]) } else { 0.0 }).collect()
     });
     Ok(Estimate { error, standard_error })
-}
-
-/// (I - rho F)^-1 of every source; `None` when that has no end.
-fn propagated(system: &System, sources: &[Vec<f64>]) -> Result<Option<Vec<Vec<f64>>>> {
-    let System { form_factors, reflectance, bands, .. } = *system;
-    let (n, columns) = (form_factors.len(), bands * sources.len());
-    let mut emission = vec![0.0; n * columns];
-    let mut weights = vec![0.0; n * columns];
-    // Each in units of its largest number: emissions of 1e-300 are as good as others.
-    let unit = |source: &Vec<f64>| source.iter().fold(0.0f64, |peak, x| peak.max(x.abs())).max(f64::MIN_POSITIVE);
-    let units: Vec<f64> = sources.iter().map(unit).collect();
-    for i in 0..n {
-        for (s, source) in sources.iter().enumerate() {
-            for b in 0..bands {
-                emission[i * columns + s * bands + b] = source[i * bands + b] / units[s];
-                weights[i * columns + s * bands + b] = reflectance[i * bands + b];
-            }
-        }
-    }
-    let wide = System { form_factors, emission: &emission, reflectance: &weights, bands: columns };
-    let options = Options { tolerance: TOLERANCE, max_iterations: Some(MOST_STEPS), memory: u64::MAX };
-    let mut observe = |_: &super::Step, _: &[f64], _: &[f64]| Ok(());
-    let mut run = Run::new(&wide, Method::Gmres, &options, &mut observe);
-    let solution = gmres::solve(&wide, &mut run)?;
-    if run.failure.is_some() {
-        return Ok(None);
-    }
-    let row_of = |row: &[f64], s: usize| row[s * bands..][..bands].iter().map(|x| x * units[s]).collect::<Vec<_>>();
-    let column = |s: usize| solution.chunks_exact(columns).flat_map(|row| row_of(row, s)).collect();
-    Ok(Some((0..sources.len()).map(column).collect()))
 }

@@ -20,7 +20,10 @@ mod estimate;
 pub mod gauss_seidel;
 pub mod gmres;
 pub mod jacobi;
+mod propagate;
 pub mod southwell;
+
+pub(crate) use propagate::propagated;
 
 use crate::assembly::FormFactors;
 use crate::error::{Error, Result};

@@ -65,6 +65,19 @@ impl Flat {
     }
 }
 
+/// The patches of a scene merged to convex polygons: their corners, counter-clockwise seen from the front, and the patches that
+/// each is made of. No two patches may be each other's backs.
+pub fn convex_polygons(scene: &Scene) -> Vec<(Vec<Vec3>, Vec<u32>)> {
+    let mesh = Mesh::new(scene);
+    let (polygons, polygon_of) = mesh.polygons();
+    let mut members = vec![Vec::new(); polygons.len()];
+    for (i, &t) in mesh.numbers.iter().enumerate() {
+        members[polygon_of[t as usize] as usize].push(i as u32);
+    }
+    let corners = polygons.iter().map(|polygon| polygon.ring.iter().map(|&v| mesh.at(v)).collect());
+    corners.zip(members).collect()
+}
+
 impl Mesh<'_> {
     pub(super) fn new(scene: &Scene) -> Mesh<'_> {
         let all: Vec<u32> = (0..scene.len() as u32).collect();

@@ -34,4 +34,5 @@ mod wide;
 
 pub use crate::simd::Instructions;
 pub use bvh::Bvh;
+pub use merge::convex_polygons;
 pub use ray::{Hit, NO_PATCH, Ray, Segment};

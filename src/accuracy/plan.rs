@@ -1,0 +1,130 @@
+//! How many rays of which kind meet a goal at the least cost.
+//!
+//! With variances V_t that fall as m_t^-p and costs c_t m_t, Lagrange's multiplier gives growth factors f_t with
+//! f_t^(p+1) in proportion to V_t / c_t, and sum over t of V_t f_t^-p = goal fixes their scale.
+
+/// Exponent p of the variance m^-p of a mean over m quasi-random rays: errors fall about as m^-0.6.
+const DECAY: f64 = 1.2;
+/// A round grows no sample by more than this: what few rays tell of many is not to be trusted further.
+const MOST_GROWTH: f64 = 16.0;
+/// How much of the discretisation error is left, at most, when light is followed one bounce further.
+const LEFT: f64 = 0.35;
+/// Share of the squared goal that the doubt about the discretisation error may take.
+const DOUBT: f64 = 0.15;
+/// Share of it that must be left for sampling.
+const LEAST: f64 = 0.3;
+
+/// The samples, in this order everywhere: segments to lamps, base rays, probe rays.
+pub(super) const KINDS: usize = 3;
+const PROBE: usize = 2;
+
+/// What is known of the error, squared, in units of the answer's square.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Errors {
+    /// Of the sampling, by kind; the probe's counts only when it is added to the answer.
+    pub(super) variances: [f64; KINDS],
+    /// The discretisation error: an estimate without bias, which may be negative.
+    pub(super) discretisation: f64,
+    /// The standard error of that estimate.
+    pub(super) doubt: f64,
+}
+
+impl Errors {
+    /// The part of sampling, and the part of discretisation.
+    pub(super) fn parts(&self, corrected: bool) -> [f64; 2] {
+        let [direct, base, probe] = self.variances;
+        let discretisation = self.discretisation.max(0.0);
+        if corrected {
+            [direct + base + probe, LEFT * LEFT * discretisation]
+        } else {
+            [direct + base, discretisation]
+        }
+    }
+}
+
+/// What to do next.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Plan {
+    /// By which samples are to grow, none below 1.
+    factors: [f64; KINDS],
+    /// Whether the probe is to be added to the answer.
+    pub(super) corrected: bool,
+}
+
+impl Plan {
+    /// There is nothing to do, or nothing that would help.
+    pub(super) const DONE: Plan = Plan { factors: [1.0; KINDS], corrected: false };
+
+    /// Whether nothing is to grow.
+    pub(super) fn is_met(&self) -> bool {
+        self.factors.iter().all(|factor| *factor <= 1.0)
+    }
+
+    /// What the growth costs.
+    pub(super) fn extra_cost(&self, costs: &[f64; KINDS]) -> f64 {
+        self.factors.iter().zip(costs).map(|(factor, cost)| (factor - 1.0) * cost).sum()
+    }
+
+    /// Sample sizes after it.
+    pub(super) fn grown(&self, sizes: [u32; KINDS]) -> [u32; KINDS] {
+        std::array::from_fn(|t| {
+            let size = f64::from(sizes[t]) * self.factors[t].clamp(1.0, MOST_GROWTH);
+            size.ceil().min(f64::from(u32::MAX / 64)) as u32
+        })
+    }
+}
+
+/// The cheapest way to bring the squared error down to `goal`; `None` when the patches are too coarse for any.
+pub(super) fn cheapest(errors: &Errors, costs: &[f64; KINDS], goal: f64, refine: bool) -> Option<Plan> {
+    let (known, doubt) = (errors.discretisation.max(0.0), errors.doubt);
+    let settled = (doubt / (DOUBT * goal)).max(1.0).powf(1.0 / DECAY);
+    let left = goal - known - doubt.min(DOUBT * goal);
+    let plain = (left >= LEAST * goal).then(|| {
+        let mut factors = growth(&errors.variances, costs, left, &[0, 1]);
+        factors[PROBE] = settled;
+        Plan { factors, corrected: false }
+    });
+    if !refine {
+        // What the patches cannot show is not to be had: sampling need not be finer than a part of that.
+        let enough = (LEAST * goal).max(0.1 * known);
+        let factors = growth(&errors.variances, costs, enough, &[0, 1]);
+        return Some(plain.unwrap_or(Plan { factors, corrected: false }));
+    }
+    let left = goal - LEFT * LEFT * (known + doubt);
+    let corrected = (left >= LEAST * goal).then(|| {
+        let factors = growth(&errors.variances, costs, left, &[0, 1, PROBE]);
+        Plan { factors, corrected: true }
+    });
+    let cheaper = |plans: [Option<Plan>; 2]| {
+        plans.into_iter().flatten().min_by(|p, q| p.extra_cost(costs).total_cmp(&q.extra_cost(costs)))
+    };
+    // Patches are cut only for an error that is surely there.
+    let unsure = known < 2.0 * doubt;
+    cheaper([plain, corrected])
+        .or_else(|| unsure.then_some(Plan { factors: [1.0, 1.0, MOST_GROWTH.sqrt()], corrected: false }))
+}
+
+/// The factors by which the samples of these kinds must grow to bring the sum of their variances down to `goal`, none below 1.
+fn growth(variances: &[f64; KINDS], costs: &[f64; KINDS], goal: f64, kinds: &[usize]) -> [f64; KINDS] {
+    let mut factors = [1.0; KINDS];
+    let total: f64 = kinds.iter().map(|&t| variances[t]).sum();
+    if total <= goal {
+        return factors;
+    }
+    let mut active: Vec<usize> = kinds.iter().copied().filter(|&t| variances[t] > 0.0 && costs[t] > 0.0).collect();
+    // Those that are large enough already leave the others less to spend: one drops out a turn.
+    while !active.is_empty() {
+        let fixed: f64 = kinds.iter().filter(|t| !active.contains(t)).map(|&t| variances[t]).sum();
+        let left = (goal - fixed).max(0.05 * goal);
+        let share = |t: usize| (variances[t] / costs[t]).powf(1.0 / (DECAY + 1.0));
+        let sum: f64 = active.iter().map(|&t| variances[t] * share(t).powf(-DECAY)).sum();
+        let scale = (sum / left).powf(1.0 / DECAY);
+        let Some(least) = active.iter().copied().min_by(|&s, &t| share(s).total_cmp(&share(t))) else { break };
+        if scale * share(least) >= 1.0 {
+            active.iter().for_each(|&t| factors[t] = scale * share(t));
+            break;
+        }
+        active.retain(|&t| t != least);
+    }
+    factors
+}

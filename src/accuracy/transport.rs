@@ -1,0 +1,314 @@
+//! What rays bring to the patches that they leave, sampled scramble by scramble and added up.
+//!
+//! Nothing is kept of a ray but its share in a sum: memory does not grow with their number. Every patch has
+//! [`SCRAMBLES`] independent scrambles of one quasi-random sequence, and a sum for each.
+
+use rayon::prelude::*;
+
+use crate::assembly::rays::{Field, Rays, Sample};
+use crate::direct::lamp::Point;
+use crate::direct::patches::{Direct, SCRAMBLES};
+use crate::direct::Lamps;
+use crate::error::Result;
+use crate::form_factor::emitter::Emitter;
+use crate::geometry::sampling::{barycentric, cosine_direction, point_in_triangle};
+use crate::progress::Progress;
+use crate::scene::Scene;
+use crate::visibility::{Bvh, Ray};
+
+/// Patches that are worked on together, and rays.
+const PATCHES: usize = 8;
+const BUNDLE: usize = 1024;
+
+/// Sums of what rays have brought, for every patch, scramble and band.
+#[derive(Debug, Clone)]
+pub(super) struct Tally {
+    bands: usize,
+    sums: Vec<f64>,
+    /// Rays of each scramble so far, a patch.
+    rays: Vec<u32>,
+    /// Of all its rays, those that nobody receives.
+    pub(super) lost: Vec<u32>,
+    /// Segments cast for them.
+    pub(super) segments: u64,
+}
+
+impl Tally {
+    pub(super) fn new(patches: usize, bands: usize) -> Tally {
+        Tally {
+            bands,
+            sums: vec![0.0; patches * SCRAMBLES * bands],
+            rays: vec![0; patches],
+            lost: vec![0; patches],
+            segments: 0,
+        }
+    }
+
+    /// The means by scramble `s`, n x b.
+    pub(super) fn means(&self, s: usize) -> Vec<f64> {
+        let rows = self.sums.chunks_exact(SCRAMBLES * self.bands).zip(&self.rays);
+        rows.flat_map(|(sums, m)| sums[s * self.bands..][..self.bands].iter().map(|sum| sum / f64::from(*m))).collect()
+    }
+
+    /// Rays cast from patch i, all scrambles together.
+    pub(super) fn rays(&self, i: usize) -> u64 {
+        SCRAMBLES as u64 * u64::from(self.rays[i])
+    }
+
+    /// All rays cast.
+    pub(super) fn total(&self) -> u64 {
+        (0..self.rays.len()).map(|i| self.rays(i)).sum()
+    }
+}
+
+/// Where a ray has arrived.
+struct Arrival {
+    /// Which of the rays.
+    ray: usize,
+    point: Point,
+    barycentric: [f64; 2],
+}
+
+/// Everything that light meets on its way.
+pub(super) struct Transport<'a> {
+    pub(super) scene: &'a Scene,
+    pub(super) tree: &'a Bvh,
+    pub(super) blockers: &'a Bvh,
+    pub(super) lamps: &'a Lamps,
+    pub(super) direct: &'a Direct<'a>,
+    pub(super) seed: u64,
+}
+
+/// Streams of random numbers that have nothing in common.
+const BASE: usize = 0;
+const PROBE: usize = SCRAMBLES;
+const PILOT: usize = 2 * SCRAMBLES;
+
+impl Transport<'_> {
+    fn bands(&self) -> usize {
+        self.scene.bands()
+    }
+
+    /// The points where the rays from patches meet the front of others first.
+    fn first_arrivals(&self, samples: &[Sample]) -> Vec<Arrival> {
+        let ray = |sample: &Sample| {
+            let [u, v, s, t] = sample.numbers(0);
+            let i = sample.patch as usize;
+            let origin = point_in_triangle(&self.scene.triangle(i), u, v);
+            Emitter::new(self.scene, self.tree, i).ray(origin, cosine_direction(s, t))
+        };
+        self.arrivals((0..samples.len()).collect(), samples.iter().map(ray).collect())
+    }
+
+    /// The same for rays from where others have arrived.
+    fn next_arrivals(&self, samples: &[Sample], from: &[Arrival]) -> Vec<Arrival> {
+        let ray = |arrival: &Arrival| {
+            let [s, t, ..] = samples[arrival.ray].numbers(2);
+            let emitter = Emitter::new(self.scene, self.tree, arrival.point.patch as usize);
+            emitter.ray(arrival.point.x, cosine_direction(s, t))
+        };
+        self.arrivals(from.iter().map(|arrival| arrival.ray).collect(), from.iter().map(ray).collect())
+    }
+
+    fn arrivals(&self, numbers: Vec<usize>, rays: Vec<Ray>) -> Vec<Arrival> {
+        let hits = self.tree.closest(&rays);
+        let arrived = numbers.into_iter().zip(rays).zip(hits).filter_map(|((number, ray), hit)| {
+            let hit = hit?;
+            let normal = self.scene.normals()[hit.patch as usize];
+            if normal.dot(ray.direction) >= 0.0 {
+                return None;
+            }
+            let [a, b, c] = self.scene.triangle(hit.patch as usize);
+            let [v, w] = hit.barycentric;
+            let point = Point { x: a + v * (b - a) + w * (c - a), normal, patch: hit.patch };
+            Some(Arrival { ray: number, point, barycentric: hit.barycentric })
+        });
+        arrived.collect()
+    }
+
+    /// out_kb = what leaves the point of arrival k towards where the ray came from, of light that has come straight from the
+    /// lamps, and of emitters that are none: rho H_direct + E. Returns the segments cast.
+    fn first_light(&self, samples: &[Sample], arrivals: &[Arrival], stage: u64, out: &mut [f64]) -> usize {
+        let bands = self.bands();
+        let points: Vec<Point> = arrivals.iter().map(|arrival| arrival.point).collect();
+        let numbers = |k: usize| {
+            let [u, v, choice, _] = samples[arrivals[k].ray].numbers(stage);
+            [u, v, choice]
+        };
+        let in_view = |i: u32, l: usize| self.direct.in_view(i, l);
+        let cast = self.lamps.light(&points, self.blockers, numbers, in_view, out);
+        for (point, out) in points.iter().zip(out.chunks_exact_mut(bands)) {
+            let j = point.patch as usize;
+            out.iter_mut().zip(&self.scene.reflectance()[j * bands..]).for_each(|(out, rho)| *out *= rho);
+            if !self.lamps.glow.is_empty() {
+                out.iter_mut().zip(&self.lamps.glow[j * bands..]).for_each(|(out, e)| *out += e);
+            }
+        }
+        cast
+    }
+
+    /// out_kb += rho times the field at the points of arrival.
+    fn reflect(&self, arrivals: &[Arrival], field: &Field, out: &mut [f64]) {
+        let bands = self.bands();
+        for (arrival, out) in arrivals.iter().zip(out.chunks_exact_mut(bands)) {
+            let j = arrival.point.patch;
+            field.add(j, arrival.barycentric, &self.scene.reflectance()[j as usize * bands..][..bands], out);
+        }
+    }
+
+    /// Records the rays of the operator that a solve starts from, and the first light that they bring: its source term.
+    pub(super) fn pilot(&self, rays: &mut Rays, count: usize, progress: &Progress) -> Result<(Vec<f64>, u64)> {
+        let bands = self.bands();
+        let rows: Result<Vec<(Vec<f64>, u64)>> = rays
+            .rows()
+            .enumerate()
+            .map(|(i, mut row)| {
+                progress.advance(count as u64)?;
+                let samples: Vec<Sample> =
+                    (0..count as u32).map(|k| Sample::new(self.seed, i as u32, PILOT, k)).collect();
+                let arrivals = self.first_arrivals(&samples);
+                for (k, sample) in samples.iter().enumerate() {
+                    let [u, v, ..] = sample.numbers(0);
+                    row.set(k, barycentric(u, v), None);
+                }
+                for arrival in &arrivals {
+                    let [u, v, ..] = samples[arrival.ray].numbers(0);
+                    row.set(arrival.ray, barycentric(u, v), Some((arrival.point.patch, arrival.barycentric)));
+                }
+                let mut light = vec![0.0; arrivals.len() * bands];
+                let cast = self.first_light(&samples, &arrivals, 1, &mut light);
+                let mut values = vec![0.0; count * bands];
+                for (arrival, light) in arrivals.iter().zip(light.chunks_exact(bands)) {
+                    values[arrival.ray * bands..][..bands].copy_from_slice(light);
+                }
+                Ok((values, cast as u64))
+            })
+            .collect();
+        let (values, segments): (Vec<_>, Vec<_>) = rows?.into_iter().unzip();
+        let project = |(i, values): (usize, &Vec<f64>)| {
+            let mut out = vec![0.0; rays.coefficients() * bands];
+            rays.project(i, bands, |k, row| row.copy_from_slice(&values[k * bands..][..bands]), &mut out);
+            out
+        };
+        let source: Vec<Vec<f64>> = values.par_iter().enumerate().map(project).collect();
+        Ok((source.concat(), segments.iter().sum()))
+    }
+
+    /// Adds to the base tally the rays that it lacks of `wanted(i)` a scramble: what they bring of first light and of `field`.
+    pub(super) fn gather(
+        &self,
+        tally: &mut Tally,
+        field: Option<&Field>,
+        wanted: impl Fn(usize) -> u32 + Sync,
+        progress: &Progress,
+    ) -> Result<()> {
+        self.add(tally, BASE, wanted, progress, |samples, out, is_lost| {
+            let arrivals = self.first_arrivals(samples);
+            let mut light = vec![0.0; arrivals.len() * self.bands()];
+            let cast = self.first_light(samples, &arrivals, 1, &mut light);
+            if let Some(field) = field {
+                self.reflect(&arrivals, field, &mut light);
+            }
+            for (arrival, light) in arrivals.iter().zip(light.chunks_exact(self.bands())) {
+                is_lost[arrival.ray] = false;
+                out[arrival.ray * self.bands()..][..self.bands()].copy_from_slice(light);
+            }
+            cast
+        })
+    }
+
+    /// The same for the probe: rho (g - u - r) at the points of arrival, where g is what one more ray brings there, u is the
+    /// field, and r(s) its residual on patches by scramble s.
+    pub(super) fn probe(
+        &self,
+        tally: &mut Tally,
+        field: &Field,
+        residuals: &[Vec<f64>],
+        wanted: impl Fn(usize) -> u32 + Sync,
+        progress: &Progress,
+    ) -> Result<()> {
+        let bands = self.bands();
+        self.add(tally, PROBE, wanted, progress, |samples, out, is_lost| {
+            let arrivals = self.first_arrivals(samples);
+            let mut known = vec![0.0; arrivals.len() * bands];
+            self.reflect(&arrivals, field, &mut known);
+            let further = self.next_arrivals(samples, &arrivals);
+            let mut light = vec![0.0; further.len() * bands];
+            let cast = self.first_light(samples, &further, 3, &mut light);
+            self.reflect(&further, field, &mut light);
+            let mut at = vec![usize::MAX; samples.len()];
+            for (k, arrival) in arrivals.iter().enumerate() {
+                at[arrival.ray] = arrival.point.patch as usize;
+                is_lost[arrival.ray] = false;
+                let j = arrival.point.patch as usize * bands;
+                let residual = &residuals[samples[arrival.ray].scramble() - PROBE];
+                for b in 0..bands {
+                    out[arrival.ray * bands + b] =
+                        -known[k * bands + b] - self.scene.reflectance()[j + b] * residual[j + b];
+                }
+            }
+            for (arrival, light) in further.iter().zip(light.chunks_exact(bands)) {
+                let j = at[arrival.ray] * bands;
+                for b in 0..bands {
+                    out[arrival.ray * bands + b] += self.scene.reflectance()[j + b] * light[b];
+                }
+            }
+            cast
+        })
+    }
+
+    /// Casts the rays that the tally lacks and adds what `bring` says of each: (samples, their values, whether they are lost).
+    fn add(
+        &self,
+        tally: &mut Tally,
+        stream: usize,
+        wanted: impl Fn(usize) -> u32 + Sync,
+        progress: &Progress,
+        bring: impl Fn(&[Sample], &mut [f64], &mut [bool]) -> usize + Sync,
+    ) -> Result<()> {
+        let bands = self.bands();
+        let n = tally.rays.len();
+        let more = |i: usize, have: u32| u64::from(wanted(i).saturating_sub(have)) * SCRAMBLES as u64;
+        progress.expect((0..n).map(|i| more(i, tally.rays[i])).sum());
+        let groups = tally
+            .sums
+            .par_chunks_mut(PATCHES * SCRAMBLES * bands)
+            .zip(tally.rays.par_chunks_mut(PATCHES))
+            .zip(tally.lost.par_chunks_mut(PATCHES));
+        let cast: Result<Vec<u64>> = groups
+            .enumerate()
+            .map(|(group, ((sums, rays), lost))| {
+                let first = group * PATCHES;
+                let ranges: Vec<_> = rays.iter().enumerate().map(|(p, have)| *have..wanted(first + p).max(*have)).collect();
+                let of_patch = |p: usize| {
+                    let range = ranges[p].clone();
+                    (0..SCRAMBLES).flat_map(move |s| range.clone().map(move |k| (p, s, k)))
+                };
+                let mut all = (0..ranges.len()).flat_map(of_patch);
+                let mut cast = 0;
+                loop {
+                    let bundle: Vec<(usize, usize, u32)> = all.by_ref().take(BUNDLE).collect();
+                    if bundle.is_empty() {
+                        break;
+                    }
+                    let sample = |&(p, s, k): &(usize, usize, u32)| {
+                        Sample::new(self.seed, (first + p) as u32, stream + s, k)
+                    };
+                    let samples: Vec<Sample> = bundle.iter().map(sample).collect();
+                    let (mut values, mut is_lost) = (vec![0.0; samples.len() * bands], vec![true; samples.len()]);
+                    cast += bring(&samples, &mut values, &mut is_lost) as u64;
+                    for ((&(p, s, _), value), is_lost) in bundle.iter().zip(values.chunks_exact(bands)).zip(is_lost) {
+                        let sums = &mut sums[(p * SCRAMBLES + s) * bands..][..bands];
+                        sums.iter_mut().zip(value).for_each(|(sum, value)| *sum += value);
+                        lost[p] += u32::from(is_lost);
+                    }
+                    progress.advance(bundle.len() as u64)?;
+                }
+                rays.iter_mut().zip(&ranges).for_each(|(have, range)| *have = range.end);
+                Ok(cast)
+            })
+            .collect();
+        tally.segments += cast?.iter().sum::<u64>();
+        Ok(())
+    }
+}

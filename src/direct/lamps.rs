@@ -1,0 +1,222 @@
+//! Which emitters of a scene are lamps, and their light at many points.
+//!
+//! Emitters in one plane with one emission are merged to convex polygons first: a lamp of a thousand patches costs no more
+//! than one of two. Then the brightest are taken, as many as pay. With the lamps 1..k apart, what rays from a patch still
+//! find has a second moment of about
+//!
+//!   sum over j > k of E_j^2 A_j / A  +  R^2,    R = rho / (1 - rho) x (power emitted) / A
+//!
+//! where R is the mean reflected radiosity of a closed scene (Cohen et al. 1988, "ambient"), and a ray costs 1 plus what the
+//! lamps add. The k with the least product is chosen: none in a furnace whose walls all glow, all two triangles of a
+//! ceiling light.
+//!
+//! At a point x all form factors F_l are known and one lamp is asked, with probability p_l in proportion to E_l F_l, whether
+//! its point z is hidden. Both
+//!
+//!   E_l F_l - E_l (1 - V) w / p_l    and    E_l V w / p_l
+//!
+//! have the mean E_l integral of V K (see [`Lamp::sample`]). The first has no noise where the lamp is in full view, the second
+//! none where it is hidden: the first is used on patches that see most of the lamp.
+
+use std::collections::BTreeMap;
+
+use super::lamp::{Lamp, Point};
+use crate::error::Result;
+use crate::geometry::Vec3;
+use crate::geometry::polygon::MAX_CORNERS;
+use crate::scene::{Description, Scene, Sides};
+use crate::simd::Instructions;
+use crate::visibility::{Bvh, NO_PATCH, Segment, convex_polygons};
+
+/// Never more lamps than this.
+const MOST: usize = 64;
+/// What the segment to a lamp costs, in rays.
+const SEGMENT_COST: f64 = 0.7;
+/// What the form factor of one more lamp costs.
+const LAMP_COST: f64 = 0.15;
+
+/// The lamps of a scene, the brightest first.
+pub struct Lamps {
+    /// The lamps.
+    pub lamps: Vec<Lamp>,
+    /// E of what is no lamp, n x b; empty where all emitters are lamps.
+    pub glow: Vec<f64>,
+    bands: usize,
+    /// The units in which the bands are added up, so that none counts for its size.
+    scale: Vec<f64>,
+    instructions: Instructions,
+}
+
+impl Lamps {
+    /// Chooses the lamps of a scene.
+    ///
+    /// # Errors
+    /// None: the parts of a valid scene make valid scenes.
+    pub fn of_scene(scene: &Scene) -> Result<Lamps> {
+        let bands = scene.bands();
+        let total: f64 = scene.areas().iter().sum();
+        let mean = |values: &[f64], b: usize| {
+            scene.areas().iter().enumerate().map(|(i, a)| a / total * values[i * bands + b]).sum::<f64>()
+        };
+        let emitted: Vec<f64> = (0..bands).map(|b| mean(scene.emission(), b)).collect();
+        let scale: Vec<f64> = emitted.iter().map(|e| if *e > 0.0 { 1.0 / e } else { 0.0 }).collect();
+        // In units of the mean emission of each band.
+        let brightness = |emission: &[f64]| emission.iter().zip(&scale).map(|(e, s)| (e * s).powi(2)).sum::<f64>();
+        let ambient = |b: usize| {
+            let rho = mean(scene.reflectance(), b).min(0.999);
+            if emitted[b] > 0.0 { (rho / (1.0 - rho)).powi(2) } else { 0.0 }
+        };
+        let reflected: f64 = (0..bands).map(ambient).sum();
+
+        let mut found = Vec::new();
+        for group in groups(scene) {
+            found.extend(merged(scene, &group)?);
+        }
+        let bright = |surface: &Surface| brightness(&surface.lamps[0].emission);
+        let moment = |surface: &Surface| {
+            bright(surface) * surface.lamps.iter().map(Lamp::area).sum::<f64>() / total
+        };
+        found.sort_by(|a, b| bright(b).total_cmp(&bright(a)));
+        let mut rest: f64 = reflected + found.iter().map(moment).sum::<f64>();
+        let (mut count, mut least, mut lamps) = (0, rest, 0);
+        for (k, surface) in found.iter().enumerate() {
+            rest -= moment(surface);
+            lamps += surface.lamps.len();
+            if lamps > MOST {
+                break;
+            }
+            let cost = (1.0 + SEGMENT_COST + LAMP_COST * lamps as f64) * rest.max(reflected);
+            if cost < least {
+                (count, least) = (k + 1, cost);
+            }
+        }
+        found.truncate(count);
+        let mut glow = scene.emission().to_vec();
+        for &i in found.iter().flat_map(|surface| &surface.patches) {
+            glow[i as usize * bands..][..bands].fill(0.0);
+        }
+        if glow.iter().all(|e| *e == 0.0) {
+            glow = Vec::new();
+        }
+        let lamps = found.into_iter().flat_map(|surface| surface.lamps).collect();
+        Ok(Lamps { lamps, glow, bands, scale, instructions: Instructions::best() })
+    }
+
+    /// Emission of a lamp in all bands together, in units of the mean emissions.
+    pub(super) fn power(&self, l: usize) -> f64 {
+        self.lamps[l].emission.iter().zip(&self.scale).map(|(e, s)| e * s).sum()
+    }
+
+    /// out_kb = direct irradiance at point k, W/m^2: an unbiased sample with the random `numbers(k)` in the unit cube.
+    /// `in_view(i, l)`: whether patch i sees most of lamp l. Without blockers the answer is exact. Returns the segments cast.
+    pub fn light(
+        &self,
+        points: &[Point],
+        blockers: &Bvh,
+        numbers: impl Fn(usize) -> [f64; 3],
+        in_view: impl Fn(u32, usize) -> bool,
+        out: &mut [f64],
+    ) -> usize {
+        let (count, bands) = (self.lamps.len(), self.bands);
+        out.fill(0.0);
+        if count == 0 || points.is_empty() {
+            return 0;
+        }
+        let mut factors = vec![0.0; count * points.len()];
+        for (lamp, factors) in self.lamps.iter().zip(factors.chunks_exact_mut(points.len())) {
+            lamp.form_factors(self.instructions, points, factors);
+        }
+        let free = blockers.is_empty();
+        for (l, lamp) in self.lamps.iter().enumerate() {
+            for (k, point) in points.iter().enumerate() {
+                let f = factors[l * points.len() + k];
+                if f > 0.0 && (free || in_view(point.patch, l)) {
+                    out[k * bands..][..bands].iter_mut().zip(&lamp.emission).for_each(|(out, e)| *out += f * e);
+                }
+            }
+        }
+        if free {
+            return 0;
+        }
+        let powers: Vec<f64> = (0..count).map(|l| self.power(l)).collect();
+        let (mut asked, mut segments) = (Vec::new(), Vec::new());
+        for (k, point) in points.iter().enumerate() {
+            let share = |l: usize| powers[l] * factors[l * points.len() + k];
+            let total: f64 = (0..count).map(share).sum();
+            if !(total > 0.0) {
+                continue;
+            }
+            let [u, v, choice] = numbers(k);
+            let (mut l, mut sum) = (0, share(0));
+            while l + 1 < count && sum <= choice * total {
+                l += 1;
+                sum += share(l);
+            }
+            let (end, weight) = self.lamps[l].sample(point, u, v);
+            if weight > 0.0 && share(l) > 0.0 {
+                asked.push((k, l, weight * total / share(l)));
+                segments.push(Segment { start: point.x, end, exclude: [point.patch, NO_PATCH] });
+            }
+        }
+        for ((k, l, weight), blocked) in asked.into_iter().zip(blockers.blocked(&segments)) {
+            let sign = match (in_view(points[k].patch, l), blocked) {
+                (true, true) => -1.0,
+                (false, false) => 1.0,
+                _ => continue,
+            };
+            let row = out[k * bands..][..bands].iter_mut();
+            row.zip(&self.lamps[l].emission).for_each(|(out, e)| *out += sign * weight * e);
+        }
+        segments.len()
+    }
+}
+
+/// The emitting patches by emission and by the side of space that they face: no group holds both sides of a sheet.
+fn groups(scene: &Scene) -> Vec<Vec<u32>> {
+    let mut groups: BTreeMap<(Vec<u64>, bool), Vec<u32>> = BTreeMap::new();
+    for (i, emission) in scene.emission().chunks_exact(scene.bands()).enumerate() {
+        if emission.iter().any(|e| *e > 0.0) {
+            let normal = scene.normals()[i];
+            let first = normal.to_array().into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0);
+            let key = (emission.iter().map(|e| e.to_bits()).collect(), first > 0.0);
+            groups.entry(key).or_default().push(i as u32);
+        }
+    }
+    groups.into_values().collect()
+}
+
+/// A convex surface that emits evenly.
+struct Surface {
+    /// One, or fans of one where a single form factor kernel could not take so many corners.
+    lamps: Vec<Lamp>,
+    patches: Vec<u32>,
+}
+
+/// The patches of one group merged to convex surfaces.
+fn merged(scene: &Scene, patches: &[u32]) -> Result<Vec<Surface>> {
+    let bands = scene.bands();
+    let emission = &scene.emission()[patches[0] as usize * bands..][..bands];
+    let (mut numbers, mut vertices) = (BTreeMap::new(), Vec::new());
+    let mut faces = Vec::with_capacity(patches.len());
+    for &i in patches {
+        faces.push(scene.faces()[i as usize].map(|v| {
+            *numbers.entry(v).or_insert_with(|| {
+                vertices.push(scene.vertices()[v as usize]);
+                vertices.len() as i64 - 1
+            })
+        }));
+    }
+    let dark = vec![0.0; patches.len()];
+    let (reflectance, emitted) = (dark.clone(), dark);
+    let part = Description { vertices, faces, bands: 1, reflectance, emission: emitted, sides: Sides::Front };
+    let surface = |(ring, members): (Vec<Vec3>, Vec<u32>)| {
+        let fan = |k: usize| {
+            let last = (k + MAX_CORNERS - 2).min(ring.len() - 1);
+            let corners = std::iter::once(ring[0]).chain(ring[k..=last].iter().copied()).collect();
+            Lamp::new(corners, emission.to_vec())
+        };
+        let lamps = (1..ring.len() - 1).step_by(MAX_CORNERS - 2).map(fan).collect();
+        Surface { lamps, patches: members.into_iter().map(|k| patches[k as usize]).collect() }
+    };
+    Ok(convex_polygons(&Scene::new(part)?).into_iter().map(surface).collect())
+}

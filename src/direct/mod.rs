@@ -1,0 +1,19 @@
+//! Light that arrives straight from the emitters: the source term of a solve by rays.
+//!
+//!   H_direct(x) = sum over lamps l of  E_l  integral over A_l of V(x, z) K(x, z) dz
+//!
+//! Rays that leave a surface at random find a small bright emitter rarely, and what they find is noise. The emitters that
+//! are worth it are therefore kept apart as [`Lamp`]s: their form factors are known in closed form, and all that is left to
+//! sample is what stands between (direct lighting by next event estimation, Kajiya 1986; here with the unoccluded
+//! part taken from the closed form, so that a lamp in full view makes no noise).
+//!
+//! - [`lamp`]: one flat convex polygon that emits evenly: form factor from a point, points on it
+//! - [`lamps`]: which emitters are lamps; their light at many points, one segment each
+//! - [`patches`]: their light averaged over patches, to an accuracy
+
+pub mod lamp;
+pub mod lamps;
+pub mod patches;
+
+pub use lamp::Lamp;
+pub use lamps::Lamps;

@@ -1,0 +1,196 @@
+//! The light of the lamps averaged over patches.
+//!
+//!   H_i = sum over lamps l of  E_l F_il v_il,    v_il = sum over s of w_s V_s  /  sum over s of w_s
+//!
+//! F_il is the exact unoccluded form factor, v_il the visible fraction by segments from quasi-random points of the patch to
+//! points of the lamp, weighted as in [`super::lamp`]: a lamp in full view and a lamp behind a wall make no noise. The
+//! segments are [`SCRAMBLES`] independent scrambles of one sequence, whose spread is the standard error. Patches in half-shadow get
+//! more of them, until the error is the one asked for.
+
+use rayon::prelude::*;
+
+use super::lamp::Point;
+use super::lamps::Lamps;
+use crate::error::Result;
+use crate::form_factor::{Accuracy, Batch, Shape};
+use crate::geometry::sampling::{Sobol, hash, point_in_triangle};
+use crate::progress::Progress;
+use crate::scene::Scene;
+use crate::visibility::{Bvh, NO_PATCH, Segment};
+
+/// Independent scrambles of every sample.
+pub const SCRAMBLES: usize = 8;
+
+/// What the segments of one scramble from a patch to a lamp have seen.
+#[derive(Debug, Clone, Copy, Default)]
+struct Seen {
+    visible: f64,
+    all: f64,
+}
+
+/// A lamp as one patch sees it.
+#[derive(Debug, Clone)]
+struct View {
+    lamp: u32,
+    /// F_il, unoccluded.
+    form_factor: f64,
+    /// Segments of each scramble so far, and its share of the next ones.
+    segments: u32,
+    share: f64,
+    seen: [Seen; SCRAMBLES],
+}
+
+impl View {
+    /// The visible fraction by all segments.
+    fn fraction(&self) -> f64 {
+        let (visible, all) = self.seen.iter().fold((0.0, 0.0), |(v, a), seen| (v + seen.visible, a + seen.all));
+        // Where no sampled point of the patch lay before the lamp, what the form factor holds is next to nothing.
+        if all > 0.0 { visible / all } else { 1.0 }
+    }
+
+    /// Whether it is seen in part.
+    fn is_partial(&self) -> bool {
+        let v = self.fraction();
+        v > 0.0 && v < 1.0
+    }
+
+    /// The fraction as scramble `s` alone has it, linearised around that of all: their mean is that of all.
+    fn of_scramble(&self, s: usize) -> f64 {
+        let v = self.fraction();
+        let all: f64 = self.seen.iter().map(|seen| seen.all).sum();
+        if all > 0.0 { v + SCRAMBLES as f64 * (self.seen[s].visible - v * self.seen[s].all) / all } else { v }
+    }
+}
+
+/// The direct irradiance of every patch.
+pub struct Direct<'a> {
+    scene: &'a Scene,
+    lamps: &'a Lamps,
+    blockers: &'a Bvh,
+    seed: u64,
+    views: Vec<Vec<View>>,
+    /// Segments cast.
+    pub segments: u64,
+}
+
+impl<'a> Direct<'a> {
+    /// The unoccluded form factors of every patch and lamp, to the relative `tolerance`, and the first segments: `each` for
+    /// every patch and scramble.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] for a tolerance out of range, [`crate::Error::Interrupted`].
+    pub fn new(
+        scene: &'a Scene,
+        lamps: &'a Lamps,
+        blockers: &'a Bvh,
+        tolerance: f64,
+        seed: u64,
+        each: u32,
+        progress: &Progress,
+    ) -> Result<Direct<'a>> {
+        let accuracy = Accuracy::new(tolerance)?;
+        let shapes: Vec<Shape> = lamps.lamps.iter().map(|lamp| Shape::new(lamp.corners())).collect();
+        let views: Result<Vec<Vec<View>>> = (0..scene.len())
+            .into_par_iter()
+            .map_init(Batch::new, |batch, i| {
+                if shapes.is_empty() {
+                    return Ok(Vec::new());
+                }
+                progress.advance(0)?;
+                let triangle = scene.triangle(i);
+                let own = Shape::new(&triangle);
+                let views = shapes.iter().enumerate().filter_map(|(l, shape)| {
+                    let form_factor = batch.exchange(&own, shape, &accuracy) / own.area;
+                    let seen = [Seen::default(); SCRAMBLES];
+                    (form_factor > 0.0).then_some(View { lamp: l as u32, form_factor, segments: 0, share: 0.0, seen })
+                });
+                let mut views: Vec<View> = views.collect();
+                let power = |view: &View| view.form_factor * lamps.power(view.lamp as usize);
+                let total: f64 = views.iter().map(power).sum();
+                views.iter_mut().for_each(|view| view.share = power(view) / total);
+                Ok(views)
+            })
+            .collect();
+        let mut direct = Direct { scene, lamps, blockers, seed, views: views?, segments: 0 };
+        direct.sample(|_| each, progress)?;
+        Ok(direct)
+    }
+
+    /// Brings the segments of every scramble up to `wanted(i)` for patch i, over all its lamps. Where a lamp has been found to
+    /// be in full view or hidden, it gets no more.
+    ///
+    /// # Errors
+    /// [`crate::Error::Interrupted`].
+    pub fn sample(&mut self, wanted: impl Fn(usize) -> u32 + Sync, progress: &Progress) -> Result<()> {
+        if self.blockers.is_empty() {
+            return Ok(());
+        }
+        let (scene, lamps, blockers, seed) = (self.scene, self.lamps, self.blockers, self.seed);
+        let cast = |(i, views): (usize, &mut Vec<View>)| -> Result<u64> {
+            progress.advance(0)?;
+            let (triangle, normal, patch) = (scene.triangle(i), scene.normals()[i], i as u32);
+            let mut cast = 0;
+            for view in views {
+                let target = (f64::from(wanted(i)) * view.share).ceil() as u32;
+                if target <= view.segments || (view.segments > 0 && !view.is_partial()) {
+                    continue;
+                }
+                let lamp = &lamps.lamps[view.lamp as usize];
+                let stream = hash(seed ^ hash(u64::from(patch) << 32 | u64::from(view.lamp)));
+                for (s, seen) in view.seen.iter_mut().enumerate() {
+                    let sobol = Sobol::new(stream.wrapping_add(s as u64));
+                    let (mut weights, mut segments) = (Vec::new(), Vec::new());
+                    for k in view.segments..target {
+                        let [u, v, a, b] = sobol.point(k);
+                        let point = Point { x: point_in_triangle(&triangle, u, v), normal, patch };
+                        let (end, weight) = lamp.sample(&point, a, b);
+                        if weight > 0.0 && lamp.shines_on(point.x) {
+                            weights.push(weight);
+                            segments.push(Segment { start: point.x, end, exclude: [patch, NO_PATCH] });
+                        }
+                    }
+                    for (weight, blocked) in weights.iter().zip(blockers.blocked_between(&segments)) {
+                        seen.all += weight;
+                        seen.visible += if blocked { 0.0 } else { *weight };
+                    }
+                    cast += segments.len() as u64;
+                }
+                view.segments = target;
+            }
+            Ok(cast)
+        };
+        let cast: Result<Vec<u64>> = self.views.par_iter_mut().enumerate().map(cast).collect();
+        self.segments += cast?.iter().sum::<u64>();
+        Ok(())
+    }
+
+    /// Segments to lamps in half-shadow: those whose number [`Direct::sample`] raises.
+    pub fn partial_segments(&self) -> u64 {
+        let partial = self.views.iter().flatten().filter(|view| view.is_partial());
+        partial.map(|view| SCRAMBLES as u64 * u64::from(view.segments)).sum()
+    }
+
+    /// Whether patch i sees most of lamp l.
+    pub fn in_view(&self, i: u32, l: usize) -> bool {
+        self.views[i as usize].iter().find(|view| view.lamp as usize == l).is_none_or(|view| view.fraction() >= 0.5)
+    }
+
+    /// H of patch i, one a band, added to `out`.
+    pub fn irradiance(&self, i: usize, out: &mut [f64]) {
+        for view in &self.views[i] {
+            self.add(view, view.fraction(), out);
+        }
+    }
+
+    /// The same as scramble `s` alone has it; the mean of all is [`Direct::irradiance`].
+    pub fn irradiance_of_scramble(&self, i: usize, s: usize, out: &mut [f64]) {
+        for view in &self.views[i] {
+            self.add(view, view.of_scramble(s), out);
+        }
+    }
+
+    fn add(&self, view: &View, fraction: f64, out: &mut [f64]) {
+        let emission = &self.lamps.lamps[view.lamp as usize].emission;
+        out.iter_mut().zip(emission).for_each(|(out, e)| *out += view.form_factor * fraction * e);
+    }
+}
