@@ -19,18 +19,20 @@ from .form_factors import FormFactors, form_factor, form_factors, pair_form_fact
 from .load import load
 from .render import Camera, render, save_image
 from .scene import Scene
-from .solution import ConvergenceError, Solution
-from .solve import ambient, solve, solve_system
+from .solution import ConvergenceError, Forecast, Solution
+from .solve import ambient, forecast, solve, solve_system
 
 __version__ = _version("radiosity")
 
 __all__ = [
     "Camera",
     "ConvergenceError",
+    "Forecast",
     "FormFactors",
     "Scene",
     "Solution",
     "ambient",
+    "forecast",
     "form_factor",
     "form_factors",
     "load",

@@ -4,7 +4,7 @@ from typing import Any, TypedDict, final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FormFactors", "Scene", "ambient", "form_factor", "pair_form_factors", "render", "solve"]
+__all__ = ["FormFactors", "Scene", "ambient", "assess", "forecast_scene", "form_factor", "pair_form_factors", "render", "solve", "solve_scene"]
 
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
@@ -21,6 +21,22 @@ class _Solved(TypedDict):
     error_estimate: float
     audit: list[_Floats] | None
     failure: str | None
+
+class _SolvedScene(TypedDict):
+    radiosity: _Floats
+    irradiance: _Floats
+    standard_error: _Floats
+    error_estimate: float
+    sampling_error: float
+    discretisation_error: float
+    corrected: bool
+    patches: int
+    rays: int
+    segments: int
+    residuals: _Floats
+    unshot: _Floats
+    audit: list[_Floats] | None
+    seconds: list[tuple[str, float]]
 
 @final
 class Scene:
@@ -103,6 +119,35 @@ def solve(
     threads: int | None,
     progress: _Report | None,
 ) -> _Solved: ...
+def solve_scene(
+    scene: Scene,
+    tolerance: float,
+    linear: bool,
+    refine: bool,
+    seed: int,
+    memory: int,
+    threads: int | None,
+    progress: _Report | None,
+) -> _SolvedScene: ...
+def forecast_scene(
+    scene: Scene,
+    tolerance: float,
+    linear: bool,
+    refine: bool,
+    seed: int,
+    memory: int,
+    threads: int | None,
+    progress: _Report | None,
+) -> tuple[float, int]: ...
+def assess(
+    scene: Scene,
+    irradiance: _Floats,
+    tolerance: float,
+    seed: int,
+    memory: int,
+    threads: int | None,
+    progress: _Report | None,
+) -> tuple[float, int]: ...
 def ambient(areas: _Floats, unshot: _Floats, reflectance: _Floats) -> _Floats: ...
 def render(
     scene: Scene,

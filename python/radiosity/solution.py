@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,6 +61,16 @@ class Report:
     """Wall-clock seconds per stage."""
     segments: int = 0
     """Segments cast for visibility."""
+    rays: int = 0
+    """Rays cast."""
+    elements: int = 0
+    """Patches that rays worked on: more than the scene has where those were too coarse; 0 without rays."""
+    corrected: bool = False
+    """Whether rays followed light point by point for one bounce more, to lower the discretisation error."""
+    sampling_error: float | None = None
+    """Part of the error estimate that sampling leaves (for ``"dense"``: kernels and iteration too); None if unknown."""
+    discretisation_error: float | None = None
+    """Part of it that discretisation leaves; None if unknown."""
     row_error: float | None = None
     """Estimated largest error of a row of F, sum over j of abs(dF_ij); None for a matrix that the user brought."""
 
@@ -70,6 +81,17 @@ class Report:
         ]
         if self.row_error is not None:
             lines.append(f"F          row error about {self.row_error:.1e}, {self.segments} segments cast")
+        if self.rays:
+            lines.append(f"rays       {self.rays} cast, {self.segments} segments")
+        if self.elements > self.patches:
+            lines.append(f"refined    {self.elements} patches worked on")
+        if self.corrected:
+            lines.append("refined    one bounce more was followed point by point")
+        if self.sampling_error is not None and self.discretisation_error is not None:
+            lines.append(
+                f"error      about {math.hypot(self.sampling_error, self.discretisation_error):.2%} of B - E: "
+                f"{self.sampling_error:.2%} from sampling, {self.discretisation_error:.2%} from discretisation"
+            )
         if self.audit is not None:
             audit = self.audit
             lines += [
@@ -96,12 +118,13 @@ class Solution:
     irradiance: FloatArray
     """(n, b) irradiance H, W/m^2."""
     standard_error: FloatArray | None
-    """(n, b) standard error of B from the sampled visibility in F; None for a matrix that the user brought."""
+    """(n, b) standard error of B from sampling; None for a matrix that the user brought."""
     error_estimate: float
-    """Estimated error of the reflected radiosity B - E (area-weighted RMS, relative, the worst band) against the exact
-    solution *on these patches*: iteration, kernels and sampled visibility, followed through all bounces. What patches
-    of constant radiosity cannot show at all, the discretisation error, is not in it; a finer mesh
-    (:meth:`radiosity.Scene.subdivide`) lowers that. Infinite where the system has hardly any solution."""
+    """Estimated error of the reflected radiosity B - E (area-weighted RMS, relative, the worst band). From
+    :func:`radiosity.solve`: against the continuous solution; :attr:`report` tells sampling and discretisation apart.
+    From :func:`radiosity.solve_system`, which sees no geometry: against the exact solution *on these patches*, that is
+    iteration, kernels and sampled visibility, followed through all bounces. Infinite where the system has hardly any
+    solution."""
     history: tuple[Step, ...]
     """One entry a step."""
     report: Report
@@ -112,6 +135,19 @@ class Solution:
     def __repr__(self) -> str:
         n, b = self.radiosity.shape
         return f"Solution({n} patches, {b} bands, {self.report.method}, error about {self.error_estimate:.2g})"
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a solve would take. Print it."""
+
+    seconds: float
+    """Wall-clock seconds."""
+    nbytes: int
+    """Bytes."""
+
+    def __str__(self) -> str:
+        return f"about {self.seconds:.2g} s and {self.nbytes / 2**20:.3g} MiB"
 
 
 class ConvergenceError(RuntimeError):

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import warnings
 from collections.abc import Callable
 from time import perf_counter
@@ -14,18 +15,18 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from . import _core
-from .arrays import FloatArray, per_patch, read_only, real_array, shaped, thread_count, whole_number
+from .arrays import FloatArray, IntArray, per_patch, read_only, real_array, shaped, thread_count, whole_number
 from .form_factors import FormFactors, form_factors_as_reached
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .scene import Scene
-from .solution import ConvergenceError, EnergyAudit, Report, Solution, Step
+from .solution import ConvergenceError, EnergyAudit, Forecast, Report, Solution, Step
 
 if TYPE_CHECKING:
     import scipy.sparse
 
 OnIteration: TypeAlias = Callable[[int, FloatArray, FloatArray], object]
-METHODS = ("auto", "dense")
+METHODS = ("auto", "dense", "rays")
 
 # Share of the tolerance that the error estimate may use; the rest is for the estimate's own error.
 _SAMPLING_SHARE = 0.8
@@ -147,41 +148,182 @@ def solve(
     scene: Scene,
     tolerance: float = 0.01,
     method: str = "auto",
+    *,
+    order: int = 1,
+    refine: bool = True,
     seed: int = 0,
     threads: int | None = None,
     progress: Progress = True,
 ) -> Solution:
-    """Form factors and solution of a scene, to a tolerance on the patches as they are.
+    """Solves a scene to a tolerance of the true error.
 
     Args:
         scene: the patches, with their emission and reflectance.
-        tolerance: relative error of the reflected radiosity B - E (area-weighted RMS, the worst band) against the exact
-            solution on these patches, in (0, 1). It covers the kernels, the sampled visibility and the iteration. It
-            does not cover discretisation, the error of one constant radiosity a patch: on a coarse mesh that is the
-            larger part, and a finer one (:meth:`radiosity.Scene.subdivide`) lowers it.
-        method: ``"dense"``, all pairs and GMRES; ``"auto"`` chooses.
-        seed: of the quasi-random segments.
+        tolerance: relative error of the patch averages of the reflected radiosity B - E (area-weighted RMS, the worst
+            band) against the continuous solution, in (0, 1): sampling and discretisation, the error of a simple
+            function on every patch, together. In a band that reflects nothing the irradiance takes the place of B - E.
+        method: ``"rays"``, light straight from the lamps by closed forms and all other by quasi-random rays; or
+            ``"dense"``, form factors of all pairs and GMRES, with one radiosity a patch. ``"auto"`` is ``"rays"``:
+            at no size and tolerance that was measured were dense factors cheaper for the same true error.
+        order: of the radiosity on a patch that rays find: 1, linear, or 0, constant.
+        refine: whether rays may follow light below the patches, point by point or on smaller patches, where these are
+            too coarse for the tolerance. Patch averages are reported in any case. ``"dense"`` never does.
+        seed: of the quasi-random points.
         threads: None for all cores. The result is the same for any number.
         progress: see :mod:`radiosity.progress`.
 
     Raises:
-        ValueError: an unknown method, a tolerance out of range, or a scene without finite solution.
-        MemoryError: the form factors would not fit, with the estimate; nothing has been computed then.
+        ValueError: an unknown method, a value out of range, or a scene without finite solution.
+        MemoryError: the solution would not fit, with the estimate; nothing has been computed then.
 
     Warns:
         UserWarning: the scene has no emission; or the tolerance was not met, and ``.error_estimate`` says what was.
+
+    Sources:
+        Hanrahan, Salzman & Aupperle 1991 (accuracy as an argument); Keller, "Quasi-Monte Carlo radiosity" 1996; the
+        estimates are described in the crate's module ``accuracy``.
     """
+    _check(scene, tolerance, method, order)
+    if not scene.emission.any():
+        warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
+    distinct, bands = _distinct_bands(scene)
+    if method == "dense":
+        solution = _solve_dense(distinct, tolerance, seed, threads, progress)
+    else:
+        solution = _solve_rays(distinct, tolerance, order, refine, seed, threads, progress)
+    if solution.error_estimate > tolerance:
+        report = solution.report
+        warnings.warn(
+            f"the error is about {solution.error_estimate:.2g}, above the tolerance {tolerance:g}: "
+            f"{report.sampling_error:.2g} from sampling, {report.discretisation_error:.2g} from discretisation",
+            UserWarning,
+            stacklevel=2,
+        )
+    return solution if distinct is scene else _in_all_bands(solution, scene, bands)
+
+
+def forecast(
+    scene: Scene,
+    tolerance: float = 0.01,
+    *,
+    order: int = 1,
+    refine: bool = True,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress = True,
+) -> Forecast:
+    """What :func:`solve` by rays would take, told from its first rounds of sampling.
+
+    The arguments are those of :func:`solve`; the first rounds take a few times 0.1 ms a patch.
+
+    Raises:
+        ValueError, MemoryError: as :func:`solve`.
+    """
+    _check(scene, tolerance, "rays", order)
+    distinct, _ = _distinct_bands(scene)
+    with reporter(progress, "forecast") as report:
+        seconds, nbytes = _core.forecast_scene(
+            distinct._core,
+            float(tolerance),
+            order == 1,
+            bool(refine),
+            whole_number("seed", seed, 0, 2**64 - 1),
+            available_bytes(),
+            thread_count(threads),
+            report,
+        )
+    return Forecast(seconds, nbytes)
+
+
+def _check(scene: Scene, tolerance: float, method: str, order: int) -> None:
+    """Refuses what no method could take."""
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}")
     if method not in METHODS:
         raise ValueError(
             f"unknown method {method!r}; the methods of solve are {METHODS}; solvers are chosen in solve_system"
         )
-    tolerance = float(tolerance)
-    if not 0.0 < tolerance < 1.0:
+    if not 0.0 < float(tolerance) < 1.0:
         raise ValueError(f"tolerance {tolerance} is outside (0, 1)")
-    if not scene.emission.any():
-        warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
+    if order not in (0, 1):
+        raise ValueError(f"order {order!r} is neither 0 (constant on a patch) nor 1 (linear)")
+
+
+def _distinct_bands(scene: Scene) -> tuple[Scene, IntArray]:
+    """A scene in which no two bands are equal, and for every band of ``scene`` its number there."""
+    columns = np.vstack([scene.reflectance, scene.emission])
+    _, first, inverse = np.unique(columns, axis=1, return_index=True, return_inverse=True)
+    bands = np.asarray(inverse, np.int64).reshape(-1)
+    if len(first) == scene.bands:
+        return scene, np.arange(scene.bands)
+    return scene.with_materials(scene.reflectance[:, first], scene.emission[:, first]), bands
+
+
+def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution:
+    """The solution of distinct bands as that of a scene that has some of them more than once."""
+    report, audit = solution.report, solution.report.audit
+    if audit is not None:
+        audit = EnergyAudit(*(getattr(audit, part.name)[bands] for part in dataclasses.fields(audit)))
+    error = solution.standard_error
+    return dataclasses.replace(
+        solution,
+        radiosity=read_only(solution.radiosity[:, bands]),
+        irradiance=read_only(solution.irradiance[:, bands]),
+        standard_error=None if error is None else read_only(error[:, bands]),
+        history=tuple(Step(step.residual, step.unshot[bands]) for step in solution.history),
+        report=dataclasses.replace(report, bands=scene.bands, audit=audit),
+        scene=scene,
+    )
+
+
+def _solve_rays(
+    scene: Scene,
+    tolerance: float,
+    order: int,
+    refine: bool,
+    seed: int,
+    threads: int | None,
+    progress: Progress,
+) -> Solution:
+    with reporter(progress, "rays") as report:
+        result = _core.solve_scene(
+            scene._core,
+            float(tolerance),
+            order == 1,
+            bool(refine),
+            whole_number("seed", seed, 0, 2**64 - 1),
+            available_bytes(),
+            thread_count(threads),
+            report,
+        )
+    history = tuple(Step(float(r), u) for r, u in zip(result["residuals"], result["unshot"], strict=True))
+    audit = result["audit"]
+    return Solution(
+        radiosity=read_only(result["radiosity"]),
+        irradiance=read_only(result["irradiance"]),
+        standard_error=read_only(result["standard_error"]),
+        error_estimate=result["error_estimate"],
+        history=history,
+        report=Report(
+            method="rays",
+            patches=scene.n_patches,
+            bands=scene.bands,
+            steps=len(history),
+            residual=history[-1].residual if history else 0.0,
+            audit=None if audit is None else EnergyAudit(*audit),
+            seconds=dict(result["seconds"]),
+            segments=result["segments"],
+            rays=result["rays"],
+            elements=result["patches"],
+            corrected=result["corrected"],
+            sampling_error=result["sampling_error"],
+            discretisation_error=result["discretisation_error"],
+        ),
+        scene=scene,
+    )
+
+
+def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None, progress: Progress) -> Solution:
     row_tolerance = _FIRST_ROW_TOLERANCE * tolerance
     seconds = {"form factors": 0.0, "solve": 0.0}
     segments = 0
@@ -198,15 +340,30 @@ def solve(
         if reached <= 1.0 or attempt == _ATTEMPTS - 1 or not np.isfinite(reached):
             break
         row_tolerance /= max(1.25 * reached, 2.0)
-    if solution.error_estimate > tolerance:
-        warnings.warn(
-            f"the error of the solution on these patches is about {solution.error_estimate:.2g}, above the tolerance "
-            f"{tolerance:g}",
-            UserWarning,
-            stacklevel=2,
+    on_patches = solution.error_estimate
+    start = perf_counter()
+    with reporter(progress, "discretisation") as report:
+        discretisation, rays = _core.assess(
+            scene._core,
+            np.ascontiguousarray(solution.irradiance),
+            float(tolerance),
+            whole_number("seed", seed, 0, 2**64 - 1),
+            available_bytes(),
+            thread_count(threads),
+            report,
         )
+    seconds["discretisation"] = perf_counter() - start
     return dataclasses.replace(
-        solution, report=dataclasses.replace(solution.report, seconds=seconds, segments=segments)
+        solution,
+        error_estimate=math.hypot(on_patches, discretisation),
+        report=dataclasses.replace(
+            solution.report,
+            seconds=seconds,
+            segments=segments,
+            rays=rays,
+            sampling_error=on_patches,
+            discretisation_error=discretisation,
+        ),
     )
 
 

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::plan::Errors;
+use super::plan::{DECAY, Errors};
 use super::transport::Tally;
 use crate::assembly::rays::Field;
 use crate::assembly::{FormFactors, Rays};
@@ -13,6 +13,8 @@ use crate::solve::{Audit, Observer, System, propagated};
 
 /// Of what follows residuals through all bounces, relative: those are some per cent of the answer.
 const RESIDUAL: f64 = 1e-2;
+/// Numbers in the columns that are followed together.
+const TOGETHER: usize = 1 << 18;
 
 /// A mesh that stands for a scene: the scene itself, or its patches cut to pieces.
 #[derive(Clone, Copy)]
@@ -72,26 +74,49 @@ impl<'a> Measure<'a> {
         let (scene, bands) = (self.mesh.scene, self.bands());
         let rho = scene.reflectance();
         let system = System { form_factors: operator, emission: &[], reflectance: rho, bands };
-        for s in 0..SCRAMBLES {
-            let mut residuals = vec![std::mem::take(&mut self.base[s])];
-            if probe.total() > 0 {
-                residuals.push(probe.means(s));
-            }
+        let own: Vec<Vec<f64>> = std::mem::take(&mut self.base);
+        let probes = (0..SCRAMBLES).filter(|_| probe.total() > 0).map(|s| probe.means(s));
+        let mut residuals: Vec<Vec<f64>> = own.into_iter().chain(probes).collect();
+        // Columns that go together share every ray, and take memory together.
+        let together = (TOGETHER / residuals[0].len()).clamp(1, residuals.len());
+        for residuals in residuals.chunks_mut(together) {
             let reflected = |r: &Vec<f64>| r.iter().zip(rho).map(|(r, rho)| r * rho).collect();
             let sources: Vec<Vec<f64>> = residuals.iter().map(reflected).collect();
             let Some(followed) = propagated(&system, &sources, RESIDUAL, observe)? else {
                 self.diverges = true;
-                return Ok(());
+                break;
             };
             for (residual, light) in residuals.iter_mut().zip(followed) {
                 let mut arriving = vec![0.0; light.len()];
                 operator.apply(&light, bands, &mut arriving);
                 residual.iter_mut().zip(arriving).for_each(|(r, h)| *r += h);
             }
-            self.probe.extend((residuals.len() > 1).then(|| residuals.pop()).flatten());
-            self.base[s] = residuals.swap_remove(0);
         }
+        self.probe = residuals.split_off(SCRAMBLES);
+        self.base = residuals;
         Ok(())
+    }
+
+    /// How much more than its neighbours every patch of the mesh should be sampled by the base: for variances A V_i m_i^-p
+    /// the best m_i is in proportion to (A V_i)^(1 / (p + 1)). Eight scrambles tell V_i roughly, hence the mean is mixed in.
+    pub(super) fn shares(&self) -> Vec<f64> {
+        let (scene, bands) = (self.mesh.scene, self.bands());
+        let weights = weights(scene);
+        let count = self.base.len() as f64;
+        let variance = |k: usize| {
+            let mean = self.base.iter().map(|x| x[k]).sum::<f64>() / count;
+            self.base.iter().map(|x| (x[k] - mean).powi(2)).sum::<f64>() * weights[k] * weights[k]
+        };
+        // Bands of any size count alike.
+        let of_band = |b: usize| (0..scene.len()).map(|i| scene.areas()[i] * variance(i * bands + b)).collect();
+        let variances: Vec<Vec<f64>> = (0..bands).map(of_band).collect();
+        let means: Vec<f64> = variances.iter().map(|v| v.iter().sum::<f64>() / v.len() as f64).collect();
+        let share = |i: usize| {
+            let relative = variances.iter().zip(&means).map(|(v, mean)| if *mean > 0.0 { v[i] / mean } else { 1.0 });
+            let relative = relative.sum::<f64>() / bands as f64;
+            (0.5 + 0.5 * relative).powf(1.0 / (DECAY + 1.0))
+        };
+        (0..scene.len()).map(share).collect()
     }
 
     /// Whether the solution is finite.

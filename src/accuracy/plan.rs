@@ -4,13 +4,13 @@
 //! f_t^(p+1) in proportion to V_t / c_t, and sum over t of V_t f_t^-p = goal fixes their scale.
 
 /// Exponent p of the variance m^-p of a mean over m quasi-random rays: errors fall about as m^-0.6.
-const DECAY: f64 = 1.2;
+pub(super) const DECAY: f64 = 1.2;
 /// A round grows no sample by more than this: what few rays tell of many is not to be trusted further.
 const MOST_GROWTH: f64 = 16.0;
 /// How much of the discretisation error is left, at most, when light is followed one bounce further.
 const LEFT: f64 = 0.35;
 /// Share of the squared goal that the doubt about the discretisation error may take.
-const DOUBT: f64 = 0.15;
+const DOUBT: f64 = 0.3;
 /// Share of it that must be left for sampling.
 const LEAST: f64 = 0.3;
 
@@ -34,11 +34,7 @@ impl Errors {
     pub(super) fn parts(&self, corrected: bool) -> [f64; 2] {
         let [direct, base, probe] = self.variances;
         let discretisation = self.discretisation.max(0.0);
-        if corrected {
-            [direct + base + probe, LEFT * LEFT * discretisation]
-        } else {
-            [direct + base, discretisation]
-        }
+        if corrected { [direct + base + probe, LEFT * LEFT * discretisation] } else { [direct + base, discretisation] }
     }
 }
 
@@ -78,7 +74,7 @@ impl Plan {
 pub(super) fn cheapest(errors: &Errors, costs: &[f64; KINDS], goal: f64, refine: bool) -> Option<Plan> {
     let (known, doubt) = (errors.discretisation.max(0.0), errors.doubt);
     let settled = (doubt / (DOUBT * goal)).max(1.0).powf(1.0 / DECAY);
-    let left = goal - known - doubt.min(DOUBT * goal);
+    let left = goal - known - 0.5 * doubt.min(DOUBT * goal);
     let plain = (left >= LEAST * goal).then(|| {
         let mut factors = growth(&errors.variances, costs, left, &[0, 1]);
         factors[PROBE] = settled;

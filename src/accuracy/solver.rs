@@ -238,12 +238,17 @@ fn on_mesh(
     let (mut base, mut probe) = (Tally::new(n, bands), Tally::new(n, bands));
     let first = (count / SCRAMBLES / 2).max(2) as u32;
     let mut sizes = [FIRST_SEGMENTS, first, (first / 4).max(1)];
+    let mut shares = Vec::new();
     let mut round = 1;
     loop {
+        let of_patch = |i: usize| {
+            let share = shares.get(i).copied().unwrap_or(1.0);
+            (share * f64::from(sizes[1])).ceil() as u32
+        };
         let transport = Transport { scene, tree: &tree, blockers: &blockers, lamps: &lamps, direct: &direct, seed };
         let mut measure = Measure::new(mesh, field.as_ref());
         if has_rays {
-            seconds.time("base", || transport.gather(&mut base, field.as_ref(), |_| sizes[1], progress))?;
+            seconds.time("base", || transport.gather(&mut base, field.as_ref(), of_patch, progress))?;
             let residuals = measure.residuals(&base);
             if let Some(field) = &field {
                 seconds.time("probe", || transport.probe(&mut probe, field, residuals, |_| sizes[2], progress))?;
@@ -289,6 +294,9 @@ fn on_mesh(
             return Ok(End::Planned(Forecast { seconds: seconds.total() * (1.0 + more / spent), bytes: needed }));
         }
         sizes = plan.grown(sizes);
+        if round == 1 {
+            shares = measure.shares();
+        }
         drop(measure);
         seconds.time("direct", || direct.sample(|_| sizes[0], progress))?;
         round += 1;

@@ -6,9 +6,9 @@
 use rayon::prelude::*;
 
 use crate::assembly::rays::{Field, Rays, Sample};
+use crate::direct::Lamps;
 use crate::direct::lamp::Point;
 use crate::direct::patches::{Direct, SCRAMBLES};
-use crate::direct::Lamps;
 use crate::error::Result;
 use crate::form_factor::emitter::Emitter;
 use crate::geometry::sampling::{barycentric, cosine_direction, point_in_triangle};
@@ -84,6 +84,14 @@ const BASE: usize = 0;
 const PROBE: usize = SCRAMBLES;
 const PILOT: usize = 2 * SCRAMBLES;
 
+/// Dimensions of the sequence by what they are used for. The base asks a lamp where its ray arrives, the probe where the next
+/// one does. The first two dimensions are the most even ones, and direction matters most.
+const RAY: usize = 0;
+const ORIGIN: usize = 2;
+const LAMP: usize = 4;
+const NEXT_RAY: usize = 4;
+const NEXT_LAMP: usize = 6;
+
 impl Transport<'_> {
     fn bands(&self) -> usize {
         self.scene.bands()
@@ -92,7 +100,7 @@ impl Transport<'_> {
     /// The points where the rays from patches meet the front of others first.
     fn first_arrivals(&self, samples: &[Sample]) -> Vec<Arrival> {
         let ray = |sample: &Sample| {
-            let [u, v, s, t] = sample.numbers(0);
+            let [s, t, u, v] = sample.numbers(RAY);
             let i = sample.patch as usize;
             let origin = point_in_triangle(&self.scene.triangle(i), u, v);
             Emitter::new(self.scene, self.tree, i).ray(origin, cosine_direction(s, t))
@@ -103,7 +111,7 @@ impl Transport<'_> {
     /// The same for rays from where others have arrived.
     fn next_arrivals(&self, samples: &[Sample], from: &[Arrival]) -> Vec<Arrival> {
         let ray = |arrival: &Arrival| {
-            let [s, t, ..] = samples[arrival.ray].numbers(2);
+            let [s, t] = samples[arrival.ray].numbers(NEXT_RAY);
             let emitter = Emitter::new(self.scene, self.tree, arrival.point.patch as usize);
             emitter.ray(arrival.point.x, cosine_direction(s, t))
         };
@@ -128,13 +136,10 @@ impl Transport<'_> {
 
     /// out_kb = what leaves the point of arrival k towards where the ray came from, of light that has come straight from the
     /// lamps, and of emitters that are none: rho H_direct + E. Returns the segments cast.
-    fn first_light(&self, samples: &[Sample], arrivals: &[Arrival], stage: u64, out: &mut [f64]) -> usize {
+    fn first_light(&self, samples: &[Sample], arrivals: &[Arrival], lamp: usize, out: &mut [f64]) -> usize {
         let bands = self.bands();
         let points: Vec<Point> = arrivals.iter().map(|arrival| arrival.point).collect();
-        let numbers = |k: usize| {
-            let [u, v, choice, _] = samples[arrivals[k].ray].numbers(stage);
-            [u, v, choice]
-        };
+        let numbers = |k: usize| samples[arrivals[k].ray].numbers(lamp);
         let in_view = |i: u32, l: usize| self.direct.in_view(i, l);
         let cast = self.lamps.light(&points, self.blockers, numbers, in_view, out);
         for (point, out) in points.iter().zip(out.chunks_exact_mut(bands)) {
@@ -168,15 +173,15 @@ impl Transport<'_> {
                     (0..count as u32).map(|k| Sample::new(self.seed, i as u32, PILOT, k)).collect();
                 let arrivals = self.first_arrivals(&samples);
                 for (k, sample) in samples.iter().enumerate() {
-                    let [u, v, ..] = sample.numbers(0);
+                    let [u, v] = sample.numbers(ORIGIN);
                     row.set(k, barycentric(u, v), None);
                 }
                 for arrival in &arrivals {
-                    let [u, v, ..] = samples[arrival.ray].numbers(0);
+                    let [u, v] = samples[arrival.ray].numbers(ORIGIN);
                     row.set(arrival.ray, barycentric(u, v), Some((arrival.point.patch, arrival.barycentric)));
                 }
                 let mut light = vec![0.0; arrivals.len() * bands];
-                let cast = self.first_light(&samples, &arrivals, 1, &mut light);
+                let cast = self.first_light(&samples, &arrivals, LAMP, &mut light);
                 let mut values = vec![0.0; count * bands];
                 for (arrival, light) in arrivals.iter().zip(light.chunks_exact(bands)) {
                     values[arrival.ray * bands..][..bands].copy_from_slice(light);
@@ -205,7 +210,7 @@ impl Transport<'_> {
         self.add(tally, BASE, wanted, progress, |samples, out, is_lost| {
             let arrivals = self.first_arrivals(samples);
             let mut light = vec![0.0; arrivals.len() * self.bands()];
-            let cast = self.first_light(samples, &arrivals, 1, &mut light);
+            let cast = self.first_light(samples, &arrivals, LAMP, &mut light);
             if let Some(field) = field {
                 self.reflect(&arrivals, field, &mut light);
             }
@@ -234,7 +239,7 @@ impl Transport<'_> {
             self.reflect(&arrivals, field, &mut known);
             let further = self.next_arrivals(samples, &arrivals);
             let mut light = vec![0.0; further.len() * bands];
-            let cast = self.first_light(samples, &further, 3, &mut light);
+            let cast = self.first_light(samples, &further, NEXT_LAMP, &mut light);
             self.reflect(&further, field, &mut light);
             let mut at = vec![usize::MAX; samples.len()];
             for (k, arrival) in arrivals.iter().enumerate() {
@@ -279,7 +284,8 @@ impl Transport<'_> {
             .enumerate()
             .map(|(group, ((sums, rays), lost))| {
                 let first = group * PATCHES;
-                let ranges: Vec<_> = rays.iter().enumerate().map(|(p, have)| *have..wanted(first + p).max(*have)).collect();
+                let ranges: Vec<_> =
+                    rays.iter().enumerate().map(|(p, have)| *have..wanted(first + p).max(*have)).collect();
                 let of_patch = |p: usize| {
                     let range = ranges[p].clone();
                     (0..SCRAMBLES).flat_map(move |s| range.clone().map(move |k| (p, s, k)))
@@ -291,9 +297,8 @@ impl Transport<'_> {
                     if bundle.is_empty() {
                         break;
                     }
-                    let sample = |&(p, s, k): &(usize, usize, u32)| {
-                        Sample::new(self.seed, (first + p) as u32, stream + s, k)
-                    };
+                    let sample =
+                        |&(p, s, k): &(usize, usize, u32)| Sample::new(self.seed, (first + p) as u32, stream + s, k);
                     let samples: Vec<Sample> = bundle.iter().map(sample).collect();
                     let (mut values, mut is_lost) = (vec![0.0; samples.len() * bands], vec![true; samples.len()]);
                     cast += bring(&samples, &mut values, &mut is_lost) as u64;

@@ -66,11 +66,10 @@ impl Sample {
         self.scramble as usize
     }
 
-    /// Four numbers in (0, 1) for what the ray does at stage `stage`: a point of a sequence padded with others that are scrambled
-    /// independently (Burley 2020, section 5).
+    /// N numbers in (0, 1), from dimension `first` of the sequence on.
     #[inline]
-    pub fn numbers(&self, stage: u64) -> [f64; 4] {
-        Sobol::new(self.stream ^ hash(stage)).point(self.index)
+    pub fn numbers<const N: usize>(&self, first: usize) -> [f64; N] {
+        Sobol::new(self.stream).coordinates(first, self.index)
     }
 }
 
@@ -217,7 +216,11 @@ impl FormFactors for Rays {
 
     fn shoot(&self, i: usize, amount: &[f64], out: &mut [f64]) {
         for (k, out) in out.chunks_exact_mut(amount.len()).enumerate() {
-            self.for_each_entry(k, |j, f| if j == i { add_scaled(f, amount, out) });
+            self.for_each_entry(k, |j, f| {
+                if j == i {
+                    add_scaled(f, amount, out)
+                }
+            });
         }
     }
 

@@ -73,9 +73,7 @@ impl Lamps {
             found.extend(merged(scene, &group)?);
         }
         let bright = |surface: &Surface| brightness(&surface.lamps[0].emission);
-        let moment = |surface: &Surface| {
-            bright(surface) * surface.lamps.iter().map(Lamp::area).sum::<f64>() / total
-        };
+        let moment = |surface: &Surface| bright(surface) * surface.lamps.iter().map(Lamp::area).sum::<f64>() / total;
         found.sort_by(|a, b| bright(b).total_cmp(&bright(a)));
         let mut rest: f64 = reflected + found.iter().map(moment).sum::<f64>();
         let (mut count, mut least, mut lamps) = (0, rest, 0);

@@ -132,7 +132,7 @@ impl<'a> Direct<'a> {
             let mut cast = 0;
             for view in views {
                 let target = (f64::from(wanted(i)) * view.share).ceil() as u32;
-                if target <= view.segments || (view.segments > 0 && !view.is_partial()) {
+                if target <= view.segments {
                     continue;
                 }
                 let lamp = &lamps.lamps[view.lamp as usize];

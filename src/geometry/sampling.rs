@@ -1,17 +1,30 @@
-//! Sample points: Owen-scrambled Sobol sequences in four dimensions, pseudo-random numbers, and the map to triangles.
+//! Sample points: Owen-scrambled Sobol sequences, pseudo-random numbers, and the maps to triangles and hemispheres.
 //!
 //! Sobol 1967 with the direction numbers of Joe & Kuo 2008; nested uniform scrambling (Owen 1995) by hashing
-//! (Laine & Karras 2011, constants of Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020).
+//! (Laine & Karras 2011; Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020; the hash of Vegdahl, "Building
+//! a Better LK Hash", 2021).
 //! Different seeds give independent unbiased scrambles of the same net: their spread is a standard error.
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use super::{Triangle, Vec3};
 
-/// Dimensions of the sequence: two points on two triangles.
-pub const DIMENSIONS: usize = 4;
+/// Dimensions of the sequence: two points on two triangles take four; a ray and what it does at two places, nine.
+pub const DIMENSIONS: usize = 10;
 
-/// Primitive polynomial (degree, coefficients) and initial numbers m_k of dimensions 2 to 4 (Joe & Kuo 2008);
+/// Primitive polynomial (degree, coefficients) and initial numbers m_k of dimensions 2 to 10 (Joe & Kuo 2008);
 /// dimension 1 is van der Corput's.
-const JOE_KUO: [(u32, u32, [u32; 3]); DIMENSIONS - 1] = [(1, 0, [1, 0, 0]), (2, 1, [1, 3, 0]), (3, 1, [1, 3, 1])];
+const JOE_KUO: [(u32, u32, [u32; 5]); DIMENSIONS - 1] = [
+    (1, 0, [1, 0, 0, 0, 0]),
+    (2, 1, [1, 3, 0, 0, 0]),
+    (3, 1, [1, 3, 1, 0, 0]),
+    (3, 2, [1, 1, 1, 0, 0]),
+    (4, 1, [1, 1, 3, 3, 0]),
+    (4, 4, [1, 3, 5, 13, 0]),
+    (5, 2, [1, 1, 5, 5, 17]),
+    (5, 4, [1, 1, 5, 5, 5]),
+    (5, 7, [1, 1, 7, 11, 19]),
+];
 
 /// Direction numbers, one 32-bit word per bit of the index.
 const DIRECTIONS: [[u32; 32]; DIMENSIONS] = directions();
@@ -49,6 +62,30 @@ const fn directions() -> [[u32; 32]; DIMENSIONS] {
     v
 }
 
+/// The words of every value of every byte of an index: an index is the exclusive or of four of them.
+static WORDS: [[[u32; DIMENSIONS]; 256]; 4] = words();
+
+const fn words() -> [[[u32; DIMENSIONS]; 256]; 4] {
+    let mut words = [[[0; DIMENSIONS]; 256]; 4];
+    let mut byte = 0;
+    while byte < 4 {
+        let mut value = 1;
+        while value < 256 {
+            let bit = 31 - (value as u32).leading_zeros() as usize;
+            let mut dimension = 0;
+            while dimension < DIMENSIONS {
+                // What the lower bits say, and the highest.
+                let rest = words[byte][value ^ 1 << bit][dimension];
+                words[byte][value][dimension] = rest ^ DIRECTIONS[dimension][8 * byte + bit];
+                dimension += 1;
+            }
+            value += 1;
+        }
+        byte += 1;
+    }
+    words
+}
+
 /// 2^64 over the golden ratio, odd: the step of splitmix64.
 const GOLDEN_GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
 
@@ -81,53 +118,68 @@ impl Random {
     }
 }
 
-/// An Owen-scrambled Sobol sequence in four dimensions.
+/// An Owen-scrambled Sobol sequence.
 #[derive(Debug, Clone, Copy)]
 pub struct Sobol {
-    seeds: [u32; DIMENSIONS],
+    seed: u64,
 }
 
 impl Sobol {
     /// The scramble that belongs to `seed`.
     pub fn new(seed: u64) -> Sobol {
-        let (first, second) = (hash(seed), hash(seed ^ 0x5bd1_e995_9e37_79b9));
-        Sobol { seeds: [first as u32, (first >> 32) as u32, second as u32, (second >> 32) as u32] }
+        Sobol { seed: hash(seed) }
     }
 
-    /// Point number `index`, each coordinate in (0, 1).
+    /// The first four coordinates of point number `index`, each in (0, 1).
     #[inline]
-    pub fn point(&self, index: u32) -> [f64; DIMENSIONS] {
-        let mut words = [0u32; DIMENSIONS];
-        let mut bits = index;
-        while bits != 0 {
-            let k = bits.trailing_zeros() as usize;
-            for (word, direction) in words.iter_mut().zip(&DIRECTIONS) {
-                *word ^= direction[k];
-            }
-            bits &= bits - 1;
-        }
-        std::array::from_fn(|d| (f64::from(owen_scramble(words[d], self.seeds[d])) + 0.5) / 4_294_967_296.0)
+    pub fn point(&self, index: u32) -> [f64; 4] {
+        self.coordinates::<4>(0, index)
+    }
+
+    /// N coordinates of point number `index` from dimension `first` on, each in (0, 1).
+    ///
+    /// What belongs together takes dimensions of one sequence. Two scrambles of the same dimension would not do: their first
+    /// bits are equal at all points, or different at all.
+    #[inline]
+    pub fn coordinates<const N: usize>(&self, first: usize, index: u32) -> [f64; N] {
+        let [a, b, c, d] = index.to_le_bytes().map(usize::from);
+        let [a, b, c, d] = [&WORDS[0][a], &WORDS[1][b], &WORDS[2][c], &WORDS[3][d]];
+        std::array::from_fn(|k| {
+            let dimension = first + k;
+            let word = a[dimension] ^ b[dimension] ^ c[dimension] ^ d[dimension];
+            let seed = hash(self.seed.wrapping_add(dimension as u64)) as u32;
+            (f64::from(owen_scramble(word, seed)) + 0.5) / 4_294_967_296.0
+        })
     }
 }
 
-/// Burley 2020, listing 2: a hash in which each bit depends on the bits above it only.
+/// Vegdahl 2021: a hash in which each bit depends on the bits above it only.
 #[inline]
 fn owen_scramble(word: u32, seed: u32) -> u32 {
-    let mut x = word.reverse_bits().wrapping_add(seed);
-    x ^= x.wrapping_mul(0x6c50_b47c);
-    x ^= x.wrapping_mul(0xb82f_1e52);
-    x ^= x.wrapping_mul(0xc7af_e638);
-    x ^= x.wrapping_mul(0x8d22_f6e6);
+    let mut x = word.reverse_bits();
+    x ^= x.wrapping_mul(0x3d20_adea);
+    x = x.wrapping_add(seed);
+    x = x.wrapping_mul((seed >> 16) | 1);
+    x ^= x.wrapping_mul(0x0552_6c56);
+    x ^= x.wrapping_mul(0x53a2_2864);
     x.reverse_bits()
 }
 
 /// The direction that belongs to (s, t) in the unit square, with density cos / pi about z: a uniform point of the unit disk,
-/// lifted to the hemisphere (Malley 1988).
+/// lifted to the hemisphere (Malley 1988). The square goes to the disk in concentric rings (Shirley & Chiu 1997): what is
+/// close together stays so, and an even sample stays even.
 #[inline]
 pub fn cosine_direction(s: f64, t: f64) -> [f64; 3] {
-    let (sine, cosine) = (std::f64::consts::TAU * t).sin_cos();
-    let radius = s.sqrt();
-    [radius * cosine, radius * sine, (1.0 - s).sqrt()]
+    let (a, b) = (2.0 * s - 1.0, 2.0 * t - 1.0);
+    let (radius, angle) = if a.abs() > b.abs() {
+        (a, FRAC_PI_4 * (b / a))
+    } else if b == 0.0 {
+        (0.0, 0.0)
+    } else {
+        (b, FRAC_PI_2 - FRAC_PI_4 * (a / b))
+    };
+    let (sine, cosine) = angle.sin_cos();
+    [radius * cosine, radius * sine, (1.0 - radius * radius).sqrt()]
 }
 
 /// The barycentric coordinates of corners 1 and 2 of the point that [`point_in_triangle`] takes.

@@ -77,7 +77,6 @@ pub(super) fn forecast_scene(
 ) -> PyResult<(f64, u64)> {
     let scene = Arc::clone(&scene.scene);
     let options = options(tolerance, linear, refine, seed, memory);
-    let forecast =
-        run(py, threads, progress.as_ref(), move |progress| accuracy::forecast(&scene, &options, progress))?;
+    let forecast = run(py, threads, progress.as_ref(), move |progress| accuracy::forecast(&scene, &options, progress))?;
     Ok((forecast.seconds, forecast.bytes))
 }
