@@ -74,7 +74,7 @@ impl<'a> Measure<'a> {
         let (scene, bands) = (self.mesh.scene, self.bands());
         let rho = scene.reflectance();
         let system = System { form_factors: operator, emission: &[], reflectance: rho, bands };
-        let own: Vec<Vec<f64>> = std::mem::take(&mut self.base);
+        let own = std::mem::take(&mut self.base);
         let probes = (0..SCRAMBLES).filter(|_| probe.total() > 0).map(|s| probe.means(s));
         let mut residuals: Vec<Vec<f64>> = own.into_iter().chain(probes).collect();
         // Columns that go together share every ray, and take memory together.
@@ -146,10 +146,7 @@ impl<'a> Measure<'a> {
             self.base.iter().map(average).collect(),
             self.probe.iter().map(average).collect(),
         ];
-        let product = |b: usize, x: &[f64], y: &[f64]| {
-            let terms = whole.areas().iter().enumerate().map(|(i, area)| (area, i * bands + b));
-            terms.map(|(area, k)| area * weights[k] * weights[k] * x[k] * y[k]).sum::<f64>()
-        };
+        let product = |b: usize, x: &[f64], y: &[f64]| inner_product(whole, &weights, b, x, y);
         let of_band = |b: usize| {
             let light = product(b, &mean, &mean);
             let unit = if light > 0.0 { 1.0 / light } else { 0.0 };
@@ -160,6 +157,22 @@ impl<'a> Measure<'a> {
         let size = |errors: &Errors| errors.parts(false).iter().sum::<f64>();
         let none = Errors { variances: [0.0; 3], discretisation: 0.0, doubt: 0.0 };
         (0..bands).map(of_band).max_by(|a, b| size(a).total_cmp(&size(b))).unwrap_or(none)
+    }
+
+    /// The square of what base and probe together add to the field, in units of `irradiance` squared, and the standard error of
+    /// that: of the band with the largest.
+    pub(super) fn distance(&self, irradiance: &[f64]) -> (f64, f64) {
+        let whole = self.mesh.whole;
+        let weights = weights(whole);
+        let sum = |s: usize| self.base[s].iter().zip(&self.probe[s]).map(|(x, y)| x + y).collect();
+        let both: Vec<Vec<f64>> = (0..self.base.len()).map(sum).collect();
+        let of_band = |b: usize| {
+            let light = inner_product(whole, &weights, b, irradiance, irradiance);
+            let unit = if light > 0.0 { 1.0 / light } else { 0.0 };
+            let spread = Spread::new(&both, |x, y| unit * inner_product(whole, &weights, b, x, y));
+            (spread.square, spread.doubt)
+        };
+        (0..self.bands()).map(of_band).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0))
     }
 
     /// Irradiance of the patches of the whole, and its standard error.
@@ -213,6 +226,12 @@ fn weights(scene: &Scene) -> Vec<f64> {
     let rho = scene.reflectance();
     let reflects: Vec<bool> = (0..bands).map(|b| rho.iter().skip(b).step_by(bands).any(|rho| *rho > 0.0)).collect();
     rho.iter().enumerate().map(|(k, rho)| if reflects[k % bands] { *rho } else { 1.0 }).collect()
+}
+
+/// sum over i of A_i w_i^2 x_i y_i of one band.
+fn inner_product(scene: &Scene, weights: &[f64], b: usize, x: &[f64], y: &[f64]) -> f64 {
+    let terms = scene.areas().iter().enumerate().map(|(i, area)| (area, i * scene.bands() + b));
+    terms.map(|(area, k)| area * weights[k] * weights[k] * x[k] * y[k]).sum()
 }
 
 /// What independent vectors x_s of one mean tell of it, by their inner products.

@@ -32,10 +32,13 @@
 //! - [`measure`]: solutions by scramble, and what their spread tells
 //! - [`plan`]: how many rays of which kind
 //! - [`solver`]: the rounds
+//! - [`assess`]: the true error of a solution that came from elsewhere
 
+pub mod assess;
 mod measure;
 mod plan;
 mod solver;
 mod transport;
 
+pub use assess::{Assessment, assess};
 pub use solver::{Forecast, Options, Outcome, forecast, solve};

@@ -21,7 +21,7 @@ const SHARE: f64 = 0.85;
 const ROUNDS: usize = 12;
 const MESHES: usize = 8;
 /// Segments that every scramble first sends from a patch towards the lamps.
-const FIRST_SEGMENTS: u32 = 4;
+pub(super) const FIRST_SEGMENTS: u32 = 4;
 /// What a segment costs, in rays.
 const SEGMENT_COST: f64 = 0.5;
 /// Of the pilot's solve, relative: what it leaves is measured with its other errors.
@@ -122,9 +122,7 @@ pub fn forecast(scene: &Scene, options: &Options, progress: &Progress) -> Result
 }
 
 fn run(scene: &Scene, options: &Options, only_plan: bool, progress: &Progress) -> Result<End> {
-    if !(options.tolerance > 0.0 && options.tolerance < 1.0) {
-        return Err(Error::Invalid(format!("tolerance {} is outside (0, 1)", options.tolerance)));
-    }
+    check(options)?;
     let mut seconds = Stages::default();
     let whole = Mesh { scene, whole: scene, parents: None };
     let mut end = on_mesh(whole, options, only_plan, options.refine, &mut seconds, progress)?;
@@ -139,6 +137,27 @@ fn run(scene: &Scene, options: &Options, only_plan: bool, progress: &Progress) -
         end = on_mesh(fine, options, only_plan, mesh < MESHES, &mut seconds, progress)?;
     }
     Ok(end)
+}
+
+pub(super) fn check(options: &Options) -> Result<()> {
+    if !(options.tolerance > 0.0 && options.tolerance < 1.0) {
+        return Err(Error::Invalid(format!("tolerance {} is outside (0, 1)", options.tolerance)));
+    }
+    Ok(())
+}
+
+/// Returns the bytes that are needed.
+pub(super) fn refuse_lack_of_memory(n: usize, bands: usize, options: &Options) -> Result<u64> {
+    let needed = bytes(n, bands, options);
+    if needed <= options.memory {
+        return Ok(needed);
+    }
+    Err(Error::Memory {
+        what: format!("the solution of {n} patches to a tolerance of {}", options.tolerance),
+        needed,
+        available: options.memory,
+        remedy: "use fewer patches (a larger max_edge) or a looser tolerance".to_string(),
+    })
 }
 
 fn longest_edge(scene: &Scene) -> f64 {
@@ -169,7 +188,7 @@ impl Stages {
 
 /// Rays of the pilot from each patch: noise of its field is an error of the second order only, and so may be some times the
 /// tolerance.
-fn pilot_rays(tolerance: f64) -> usize {
+pub(super) fn pilot_rays(tolerance: f64) -> usize {
     ((0.6 / tolerance).clamp(16.0, 1024.0) as usize).next_power_of_two()
 }
 
@@ -193,15 +212,7 @@ fn on_mesh(
 ) -> Result<End> {
     let scene = mesh.scene;
     let (n, bands) = (scene.len(), scene.bands());
-    let needed = bytes(n, bands, options);
-    if needed > options.memory {
-        return Err(Error::Memory {
-            what: format!("the solution of {n} patches to a tolerance of {}", options.tolerance),
-            needed,
-            available: options.memory,
-            remedy: "use fewer patches (a larger max_edge) or a looser tolerance".to_string(),
-        });
-    }
+    let needed = refuse_lack_of_memory(n, bands, options)?;
     let (tree, blockers) = seconds.time("trees", || {
         let tree = Bvh::of_scene(scene);
         let blockers = Bvh::of_blockers(scene);

@@ -21,6 +21,9 @@ use crate::visibility::{Bvh, NO_PATCH, Segment};
 /// Independent scrambles of every sample.
 pub const SCRAMBLES: usize = 8;
 
+/// Share of the segments that watch lamps on which all segments have agreed so far: a sliver of a shadow escapes a few.
+const WATCH: f64 = 0.25;
+
 /// What the segments of one scramble from a patch to a lamp have seen.
 #[derive(Debug, Clone, Copy, Default)]
 struct Seen {
@@ -116,8 +119,8 @@ impl<'a> Direct<'a> {
         Ok(direct)
     }
 
-    /// Brings the segments of every scramble up to `wanted(i)` for patch i, over all its lamps. Where a lamp has been found to
-    /// be in full view or hidden, it gets no more.
+    /// Brings the segments of every scramble up to `wanted(i)` for patch i, over all its lamps. Where a lamp seems to be in full
+    /// view or hidden, a share of them goes on watching: their spread is 0, and would stay so for ever.
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`].
@@ -131,7 +134,8 @@ impl<'a> Direct<'a> {
             let (triangle, normal, patch) = (scene.triangle(i), scene.normals()[i], i as u32);
             let mut cast = 0;
             for view in views {
-                let target = (f64::from(wanted(i)) * view.share).ceil() as u32;
+                let watched = if view.segments == 0 || view.is_partial() { 1.0 } else { WATCH };
+                let target = (f64::from(wanted(i)) * view.share * watched).ceil() as u32;
                 if target <= view.segments {
                     continue;
                 }

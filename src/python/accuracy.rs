@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
+use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use super::convert::{table, vector};
+use super::convert::{table, values, vector};
 use super::run::run;
 use super::scene::Scene;
 use crate::accuracy::{self, Options, Outcome};
@@ -79,4 +80,26 @@ pub(super) fn forecast_scene(
     let options = options(tolerance, linear, refine, seed, memory);
     let forecast = run(py, threads, progress.as_ref(), move |progress| accuracy::forecast(&scene, &options, progress))?;
     Ok((forecast.seconds, forecast.bytes))
+}
+
+/// The true relative error of an irradiance, and the rays that it took to tell.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
+#[pyo3(signature = (scene, irradiance, tolerance, seed, memory, threads, progress))]
+pub(super) fn assess(
+    py: Python<'_>,
+    scene: &Scene,
+    irradiance: PyReadonlyArray2<f64>,
+    tolerance: f64,
+    seed: u64,
+    memory: u64,
+    threads: Option<usize>,
+    progress: Option<Bound<'_, PyAny>>,
+) -> PyResult<(f64, u64)> {
+    let scene = Arc::clone(&scene.scene);
+    let irradiance = values(&irradiance);
+    let options = options(tolerance, false, false, seed, memory);
+    let assessment =
+        run(py, threads, progress.as_ref(), move |progress| accuracy::assess(&scene, &irradiance, &options, progress))?;
+    Ok((assessment.error, assessment.rays))
 }

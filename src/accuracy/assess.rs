@@ -1,0 +1,81 @@
+//! The true error of a solution that came from elsewhere, by rays.
+//!
+//! Its irradiance H, constant on every patch, takes the place of the pilot's field: what base and probe find that it lacks,
+//! followed through all bounces, is its error, sampling and discretisation together. The square of that is estimated without
+//! bias from products of independent scrambles, so that it may be far below the noise of a patch.
+
+use super::measure::{Measure, Mesh};
+use super::solver::{FIRST_SEGMENTS, Options, check, pilot_rays, refuse_lack_of_memory};
+use super::transport::{Tally, Transport};
+use crate::assembly::rays::Field;
+use crate::assembly::{Order, Rays};
+use crate::direct::Lamps;
+use crate::direct::patches::{Direct, SCRAMBLES};
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::scene::Scene;
+use crate::solve::Step;
+use crate::visibility::Bvh;
+
+/// Rounds, each of four times the rays of the one before.
+const ROUNDS: usize = 6;
+/// The squared error is known well enough when its standard error is this share of it, or of the tolerance's square.
+const DOUBT: f64 = 0.15;
+
+/// What is known of the error.
+#[derive(Debug, Clone, Copy)]
+pub struct Assessment {
+    /// Relative error of B - E against the continuous solution, the worst band.
+    pub error: f64,
+    /// Rays cast.
+    pub rays: u64,
+}
+
+/// Assesses the irradiance of a scene's patches, n x b.
+///
+/// # Errors
+/// [`Error::Invalid`] for options or values out of range, [`Error::Memory`], [`Error::Interrupted`].
+pub fn assess(scene: &Scene, irradiance: &[f64], options: &Options, progress: &Progress) -> Result<Assessment> {
+    check(options)?;
+    let (n, bands, seed) = (scene.len(), scene.bands(), options.seed);
+    if irradiance.len() != n * bands || irradiance.iter().any(|h| !h.is_finite()) {
+        return Err(Error::Invalid(format!("irradiance must hold {n} x {bands} finite numbers")));
+    }
+    refuse_lack_of_memory(n, bands, options)?;
+    let (tree, blockers, lamps) = (Bvh::of_scene(scene), Bvh::of_blockers(scene), Lamps::of_scene(scene)?);
+    let mut direct = Direct::new(scene, &lamps, &blockers, 1e-4, seed, FIRST_SEGMENTS, progress)?;
+    let count = pilot_rays(options.tolerance);
+    let mut operator = Rays::new(Order::Constant, count, scene.areas());
+    {
+        let transport = Transport { scene, tree: &tree, blockers: &blockers, lamps: &lamps, direct: &direct, seed };
+        progress.expect((n * count) as u64);
+        transport.pilot(&mut operator, count, progress)?;
+    }
+    let mut sizes = [FIRST_SEGMENTS, (count / SCRAMBLES).max(2) as u32, (count / SCRAMBLES / 2).max(1) as u32];
+    let (mut round, mut rays) = (1, (n * count) as u64);
+    loop {
+        let mesh = Mesh { scene, whole: scene, parents: None };
+        let transport = Transport { scene, tree: &tree, blockers: &blockers, lamps: &lamps, direct: &direct, seed };
+        let mut arriving = vec![0.0; n * bands];
+        arriving.chunks_exact_mut(bands).enumerate().for_each(|(i, out)| direct.irradiance(i, out));
+        let bounced = irradiance.iter().zip(arriving).map(|(h, d)| h - d).collect();
+        let field = Field::new(Order::Constant, bands, bounced);
+        let mut measure = Measure::new(mesh, Some(&field));
+        // The field changes with the segments: the rays of a round are all its own.
+        let (mut base, mut probe) = (Tally::new(n, bands), Tally::new(n, bands));
+        transport.gather(&mut base, Some(&field), |_| sizes[1], progress)?;
+        let residuals = measure.residuals(&base);
+        transport.probe(&mut probe, &field, residuals, |_| sizes[2], progress)?;
+        measure.follow(&operator, &probe, &mut |_: &Step, _: &[f64], _: &[f64]| progress.advance(0))?;
+        rays += base.total() + 2 * probe.total();
+        let (square, doubt) = measure.distance(irradiance);
+        if round == ROUNDS || doubt <= DOUBT * square.max(options.tolerance.powi(2)) || !measure.is_finite() {
+            let error = if measure.is_finite() { square.max(0.0).sqrt() } else { f64::INFINITY };
+            return Ok(Assessment { error, rays });
+        }
+        sizes = sizes.map(|size| 4 * size);
+        drop(measure);
+        direct.sample(|_| sizes[0], progress)?;
+        round += 1;
+    }
+}
