@@ -118,3 +118,34 @@ fn every_row_is_within_its_tolerance_of_converged_factors() {
         }
     }
 }
+
+#[test]
+fn far_from_the_origin_shadows_are_the_same() {
+    const TOLERANCE: f64 = 1e-3;
+    let inner = box_from(Vec3::splat(-10.0), Vec3::splat(10.0), 1).reversed();
+    let mesh = box_from(Vec3::splat(-20.0), Vec3::splat(20.0), 2).and(&inner);
+    let random = Random::new(3);
+    for _ in 0..3 {
+        let rotation = random.rotation();
+        let at = |off: f64| {
+            let way = off * vec3(1.0, 0.7, -0.4);
+            let scene = mesh.clone().map(|v| rotated(&rotation, v) + way).scene();
+            let f = dense(&scene, TOLERANCE, 0);
+            (table(&f), f.error_estimate(), f.segments())
+        };
+        let (near, near_error, _) = at(0.0);
+        let n = mesh.faces.len();
+        for off in [1e3, 1e5, 1e6, 1e7] {
+            let (far, error, segments) = at(off);
+            assert_eq!(segments, 0, "at {off:e}");
+            assert!(error <= TOLERANCE);
+            for (i, (far, near)) in far.chunks(n).zip(near.chunks(n)).enumerate() {
+                let sum: f64 = far.iter().sum();
+                let difference: f64 = far.iter().zip(near).map(|(a, b)| (a - b).abs()).sum();
+                // The scene is closed. Rounding moves the corners by 1e-11 of the size at most, far below the estimates.
+                assert!((sum - 1.0).abs() <= error, "patch {i} at {off:e}: the row adds up to {sum}");
+                assert!(difference <= error + near_error, "patch {i} at {off:e}: {difference:e} from the factors at 0");
+            }
+        }
+    }
+}
