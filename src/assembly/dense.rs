@@ -310,8 +310,8 @@ fn unoccluded(
             if !bodies.is_empty() {
                 for (j, &exchange) in row.iter().enumerate().filter(|(_, g)| **g > 0.0) {
                     let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
-                    if bodies.may_meet(&shaft) {
-                        let (i, j) = (i as u32, j as u32);
+                    let (i, j) = (i as u32, j as u32);
+                    if bodies.may_meet(&shaft, [i, j]) {
                         candidates.push(Candidate {
                             i,
                             j,

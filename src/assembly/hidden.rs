@@ -109,7 +109,7 @@ fn visible_by_shadows(
     if blockers.bodies.entangled(c.i) || blockers.bodies.entangled(c.j) {
         return None;
     }
-    let bodies = blockers.bodies.in_shaft(&Shaft::new(&a.corners, &b.corners), MOST_BODIES)?;
+    let bodies = blockers.bodies.in_shaft(&Shaft::new(&a.corners, &b.corners), [c.i, c.j], MOST_BODIES)?;
     shadows.visible(a, b, &bodies, c.wanted)
 }
 

@@ -78,7 +78,7 @@ fn shadows_leave_what_segments_reach() {
                     continue;
                 }
                 let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
-                let in_shaft = bodies.in_shaft(&shaft, 8).expect("few bodies");
+                let in_shaft = bodies.in_shaft(&shaft, [i as u32, j as u32], 8).expect("few bodies");
                 let end = |k: usize| End { patch: k as u32, triangle: patches[k].corners, normal: patches[k].normal };
                 let sampled = visible_fraction(&tree, &end(i), &end(j), SEGMENTS, 7);
                 if sampled.standard_error > 0.02 {
@@ -146,6 +146,38 @@ fn far_from_the_origin_shadows_are_the_same() {
                 assert!((sum - 1.0).abs() <= error, "patch {i} at {off:e}: the row adds up to {sum}");
                 assert!(difference <= error + near_error, "patch {i} at {off:e}: {difference:e} from the factors at 0");
             }
+        }
+    }
+}
+
+#[test]
+fn slivers_are_not_hidden_by_their_own_body() {
+    // A strip along an edge of the box inside the room; so thin that rounding turns its plane into the box.
+    const STRIP: f64 = 1e-5;
+    const TOLERANCE: f64 = 1e-3;
+    let (low, high) = (Vec3::splat(-10.0), Vec3::splat(10.0));
+    let mut inner = box_from(low, high, 1).reversed();
+    let on_top = |f: &[i64; 3]| f.iter().all(|&v| inner.vertices[v as usize].z == high.z);
+    let sides: Vec<[i64; 3]> = inner.faces.iter().filter(|f| !on_top(f)).copied().collect();
+    inner.faces = sides;
+    let corner = vec3(low.x, low.y, high.z);
+    let strip = plate(corner, 20.0 * Vec3::X, STRIP * Vec3::Y, 1);
+    let rest = plate(corner + STRIP * Vec3::Y, 20.0 * Vec3::X, (20.0 - STRIP) * Vec3::Y, 1);
+    let mesh = box_from(Vec3::splat(-20.0), Vec3::splat(20.0), 2).and(&inner).and(&strip).and(&rest);
+    let random = Random::new(5);
+    for off in [0.0, 1e3, 1e4] {
+        let rotation = random.rotation();
+        let scene = mesh.clone().map(|v| rotated(&rotation, v) + off * vec3(1.0, 0.7, -0.4)).scene();
+        let f = dense(&scene, TOLERANCE, 0);
+        assert!(f.error_estimate() <= TOLERANCE);
+        // Rounding by 4 ulp moves the strip's sides by so much of its width, which is how far its own area may be off.
+        let rounding = 4.0 * f64::EPSILON * off / STRIP;
+        for (i, row) in table(&f).chunks(scene.len()).enumerate() {
+            let sum: f64 = row.iter().sum();
+            assert!(
+                (sum - 1.0).abs() <= f.error_estimate() + rounding,
+                "patch {i} at {off:e}: the row adds up to {sum}"
+            );
         }
     }
 }
