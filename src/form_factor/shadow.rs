@@ -58,6 +58,9 @@ const MOST_CELLS: usize = 16_384;
 const STEPS: usize = 60;
 /// Intersections of shadows that are looked at from one point before rays are the better answer.
 const MOST_OVERLAPS: usize = 64;
+/// Edges of all bodies before rays are the better answer: walls are cut by one another, and no more than some hundred cuts a
+/// point keep a pair, which cannot be interrupted, within a second.
+const MOST_EDGES: usize = 512;
 /// The sine of an angle that counts as none: an edge so near to a plane through x lies in it.
 const FLAT: f64 = 1e-11;
 /// How far outside of [0, 1] rounding may put a visible fraction: the terms of a small patch far away cancel by so many digits.
@@ -178,9 +181,12 @@ impl Default for Shadows {
 
 impl Shadows {
     /// What `bodies` leave of the exchange of two patches, to an error of `wanted` as far as [`MOST_CELLS`] triangles
-    /// allow. No point of the patches may lie inside a body. `None` when too many shadows overlap, or rounding is in the way.
+    /// allow. No point of the patches may lie inside a body. `None` when the bodies have too many edges, too many shadows overlap, or rounding is in the way.
     pub fn visible(&mut self, a: &Patch, b: &Patch, bodies: &[&Body], wanted: f64) -> Option<Visible> {
         let all = Some(Visible { fraction: 1.0, error: 0.0 });
+        if bodies.iter().map(|body| body.edges.len()).sum::<usize>() > MOST_EDGES {
+            return None;
+        }
         let [slack_a, slack_b] = slacks([a, b]);
         // What is cut has short edges, whose directions need more digits than coordinates far from the origin have.
         let origin = a.corners[0];
@@ -204,25 +210,27 @@ impl Shadows {
         let fan: Vec<Triangle> = (2..source.len()).map(|k| [source[0], source[k - 1], source[k]]).collect();
         let whole: f64 = fan.iter().map(area).sum();
         let mut cells: BinaryHeap<Cell> = self.look(&fan, whole, from.normal, &target, &solids)?.into();
-        let total: f64 = cells.iter().map(|cell| cell.all).sum();
+        let mut total: f64 = cells.iter().map(|cell| cell.all).sum();
         if !(total > 0.0) {
             return all;
         }
         let mut error: f64 = cells.iter().map(|cell| cell.error).sum();
-        while error > wanted * total && cells.len() < MOST_CELLS {
+        while error / total > wanted && cells.len() < MOST_CELLS {
             let Some(worst) = cells.pop() else { break };
             let [p, q, r] = worst.triangle;
             let [pq, qr, rp] = [0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + p)];
             let quarters = [[p, pq, rp], [pq, q, qr], [rp, qr, r], [pq, qr, rp]];
             for cell in self.look(&quarters, whole, from.normal, &target, &solids)? {
                 error += cell.error;
+                total += cell.all;
                 cells.push(cell);
             }
             error -= worst.error;
+            total -= worst.all;
         }
         let cells = cells.into_vec();
         let (hidden, all) = cells.iter().fold((0.0, 0.0), |(hidden, all), c| (hidden + c.hidden, all + c.all));
-        let (sum, error) = (1.0 - hidden / all, error.max(0.0) / all);
+        let (sum, error) = (1.0 - hidden / all, (error / total).max(0.0));
         let fraction = sum.clamp(0.0, 1.0);
         // What is outside by more than rounding has lost a part of a border.
         let outside = (sum - fraction).abs();
@@ -464,8 +472,8 @@ fn looks(a: &Patch, b: &Patch, solids: &[Body]) -> bool {
             .fold(f64::INFINITY, f64::min);
         patch.area / nearest
     };
-    // Not a number where both touch: then the first looks.
-    !(angle(a) > angle(b))
+    // Infinite where both touch: then the first looks.
+    angle(a) <= angle(b)
 }
 
 /// How far rounding may put what lies in the plane of a patch off it: of two patches as they were given, whose normals it

@@ -181,3 +181,22 @@ fn slivers_are_not_hidden_by_their_own_body() {
         }
     }
 }
+
+#[test]
+fn bodies_of_many_edges_are_left_to_segments() {
+    let ball = |level| icosphere(level).map(|v| vec3(0.5, 0.5, 0.5) + 0.25 * v);
+    for (level, known) in [(2, true), (3, false)] {
+        let scene = cube(1).and(&ball(level)).scene();
+        let bodies = Bodies::of_scene(&scene);
+        let [a, b] = [0, 3].map(|i| Patch::new(scene.triangle(i)));
+        let solids: Vec<_> = bodies.bodies.iter().collect();
+        // 480 edges, and 1920.
+        assert_eq!(solids.len(), 1);
+        assert_eq!(
+            Shadows::default().visible(&a, &b, &solids, 1e-2).is_some(),
+            known,
+            "{} edges",
+            solids[0].edges.len()
+        );
+    }
+}
