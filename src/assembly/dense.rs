@@ -306,7 +306,7 @@ fn unoccluded(
         .rev()
         .map_init(Batch::new, |batch, (i, row)| {
             let pairs: Vec<[u32; 2]> = (0..i as u32).map(|j| [i as u32, j]).collect();
-            batch.exchange_pairs(patches, patches, &pairs, &accuracy, row);
+            batch.exchange_pairs(patches, patches, &pairs, &accuracy, row)?;
             let mut candidates = Vec::new();
             if !bodies.is_empty() {
                 for (j, &exchange) in row.iter().enumerate().filter(|(_, g)| **g > 0.0) {
