@@ -11,10 +11,10 @@ use std::collections::HashMap;
 
 use super::body::{Body, extremes};
 use super::box_tree::BoxTree;
+use super::hull::Hull;
 use super::merge::{Mesh, NONE};
 use super::shaft::Shaft;
 use super::solids::{Others, Shells};
-use crate::geometry::polygon::Plane;
 use crate::scene::Scene;
 
 /// The bodies of a scene that can stand between two of its patches.
@@ -121,28 +121,5 @@ impl Bodies {
     /// Whether a patch reaches into the inside of a solid. Its points may lie inside a body, whose shadow is then no cone.
     pub fn entangled(&self, patch: u32) -> bool {
         self.entangled[patch as usize]
-    }
-}
-
-/// What lies on both sides of a plane, asked of all corners of the scene's patches.
-struct Hull {
-    points: BoxTree,
-    tolerance: f64,
-}
-
-impl Hull {
-    fn new(scene: &Scene) -> Hull {
-        let mut used: Vec<u32> = scene.faces().as_flattened().to_vec();
-        used.sort_unstable();
-        used.dedup();
-        let at = |v: u32| scene.vertices()[v as usize];
-        let points = BoxTree::new(used.into_iter().map(|v| (v, (at(v), at(v)))).collect());
-        let (low, high) = points.bounds();
-        let size = (high - low).max_element().max(low.abs().max(high.abs()).max_element());
-        Hull { points, tolerance: 64.0 * f64::EPSILON * size }
-    }
-
-    fn has_both_sides(&self, plane: &Plane) -> bool {
-        self.points.sides(plane, [self.tolerance, -self.tolerance]) == (true, true)
     }
 }
