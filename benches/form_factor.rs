@@ -55,7 +55,7 @@ fn measure(
         .map(|_| {
             let start = ThreadTime::now();
             for _ in 0..repeats {
-                batch.exchange_pairs(a, b, pairs, accuracy, black_box(&mut out));
+                batch.exchange_pairs(a, b, pairs, accuracy, black_box(&mut out)).expect("a place a pair");
             }
             start.elapsed().as_secs_f64() * 1e9 / (repeats * pairs.len()) as f64
         })
@@ -86,7 +86,8 @@ fn kernels(sets: &[Set]) {
         let pairs: Vec<[u32; 2]> = (0..set.a.len() as u32).map(|k| [k, k]).collect();
         print!("{:16}", set.name);
         for kernel in Kernel::ALL {
-            let (ns, out) = measure(&set.a, &set.b, &pairs, &Accuracy::by(kernel), Instructions::best());
+            let (ns, out) =
+                measure(&set.a, &set.b, &pairs, &Accuracy::by(kernel).expect("one of all"), Instructions::best());
             let errors = errors(set, &out);
             print!(" {ns:6.0} {:7.0e} {:7.0e}", errors[errors.len() / 2], errors[errors.len() - 1]);
         }

@@ -22,7 +22,7 @@ use crate::visibility::shaft::Shaft;
 /// What to compute, and within what.
 #[derive(Debug, Clone, Copy)]
 pub struct DenseOptions {
-    /// Bound on sum over j of |dF_ij|, for every row i; in [1e-8, 1).
+    /// Bound on sum over j of |dF_ij|, for every row i; in [1e-10, 1).
     pub tolerance: f64,
     /// Seed of the quasi-random segments.
     pub seed: u64,
@@ -138,7 +138,8 @@ impl Dense {
         Ok(Dense { areas: scene.areas().to_vec(), exchange, uncertain, kernel_error, error_estimate, segments })
     }
 
-    /// Estimate of the largest row error max_i sum_j |dF_ij|: the kernels' bound plus one standard error a sampled pair.
+    /// Estimate of the largest row error max_i sum_j |dF_ij|: the kernels' bound plus the estimated
+    /// errors of what is visible of each pair.
     pub fn error_estimate(&self) -> f64 {
         self.error_estimate
     }
@@ -305,13 +306,13 @@ fn unoccluded(
         .rev()
         .map_init(Batch::new, |batch, (i, row)| {
             let pairs: Vec<[u32; 2]> = (0..i as u32).map(|j| [i as u32, j]).collect();
-            batch.exchange_pairs(patches, patches, &pairs, &accuracy, row);
+            batch.exchange_pairs(patches, patches, &pairs, &accuracy, row)?;
             let mut candidates = Vec::new();
             if !bodies.is_empty() {
                 for (j, &exchange) in row.iter().enumerate().filter(|(_, g)| **g > 0.0) {
                     let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
-                    if bodies.may_meet(&shaft) {
-                        let (i, j) = (i as u32, j as u32);
+                    let (i, j) = (i as u32, j as u32);
+                    if bodies.may_meet(&shaft, [i, j]) {
                         candidates.push(Candidate {
                             i,
                             j,
@@ -320,6 +321,7 @@ fn unoccluded(
                             error: 1.0,
                             wanted: f64::INFINITY,
                             segments: 0,
+                            spent: false,
                         });
                     }
                 }

@@ -38,8 +38,10 @@ pub(super) struct Candidate {
     pub(super) error: f64,
     /// The error to be reached in the next round; infinite at first, when any will do, and 0 when there is nothing to do.
     pub(super) wanted: f64,
-    /// Segments that the estimate rests on; 0 when it comes from shadows.
+    /// Segments that have been cast; 0 when the estimate comes from shadows.
     pub(super) segments: u32,
+    /// Whether more work would not make the error less.
+    pub(super) spent: bool,
 }
 
 /// What blocks: as bodies, for shadows, and as patches, for segments.
@@ -64,18 +66,21 @@ pub(super) fn sample(
             let [a, b] = [c.i, c.j].map(|k| &patches[k as usize]);
             let by_shadows = if c.segments > 0 { None } else { visible_by_shadows(shadows, blockers, c, a, b) };
             if let Some(Visible { fraction, error }) = by_shadows {
-                (c.visible, c.error) = (fraction, error);
+                // Shadows go on until they have what is wanted, or can no more.
+                (c.visible, c.error, c.spent) = (fraction, error, error > c.wanted);
             } else {
-                let segments = if c.segments == 0 {
-                    PILOT
-                } else {
-                    let more = (c.error / c.wanted).powf(1.0 / RATE);
-                    (f64::from(c.segments) * more).min(f64::from(MOST_SEGMENTS)).ceil() as u32
-                };
+                // Shadows that gave up tell nothing of what segments would leave.
+                let (known, error) = if c.segments == 0 { (PILOT, unmet(PILOT)) } else { (c.segments, c.error) };
+                let needed = f64::from(known) * (error / c.wanted).powf(1.0 / RATE);
+                let segments = needed.clamp(f64::from(PILOT), f64::from(MOST_SEGMENTS)).ceil() as u32;
                 let end = |k: u32, p: &Patch| End { patch: k, triangle: p.corners, normal: p.normal };
                 let v = visible_fraction(&blockers.tree, &end(c.i, a), &end(c.j, b), segments, seed);
                 let error = error_to_count_with(&v, segments);
-                (c.visible, c.error, c.segments) = (v.value, error, segments);
+                // Shadows may have known better before they gave up.
+                if c.segments > 0 || error <= c.error {
+                    (c.visible, c.error) = (v.value, error);
+                }
+                (c.segments, c.spent) = (segments, segments == MOST_SEGMENTS);
                 cast.fetch_add(u64::from(segments), Ordering::Relaxed);
             }
             c.wanted = 0.0;
@@ -86,13 +91,17 @@ pub(super) fn sample(
     Ok(cast.into_inner())
 }
 
-/// Segments that all agree leave the expectation 1 / (m + 2) for the part that none of them met (Laplace's rule of
-/// succession): a thin bar is missed by few segments. Where they do not agree, four replicates know their spread only to
+/// What is to be expected of the part that none of m segments met, 1 / (m + 2) (Laplace's rule of succession).
+fn unmet(segments: u32) -> f64 {
+    1.0 / f64::from(segments + 2)
+}
+
+/// Segments that all agree leave what none of them met: a thin bar is missed by few segments. Where they do not agree, four replicates know their spread only to
 /// 40 %, and pairs whose spread looks small by chance would get no more segments: so half of the variance is what m
 /// segments leave in a cluttered shaft, measured as half the variance of random ones, V (1 - V) / 2 m.
 fn error_to_count_with(v: &VisibleFraction, segments: u32) -> f64 {
-    if v.standard_error == 0.0 {
-        return 1.0 / f64::from(segments + 2);
+    if v.value == 0.0 || v.value == 1.0 {
+        return unmet(segments);
     }
     let usual = 0.5 * v.value * (1.0 - v.value) / f64::from(segments);
     (0.5 * (v.standard_error * v.standard_error + usual)).sqrt()
@@ -109,7 +118,7 @@ fn visible_by_shadows(
     if blockers.bodies.entangled(c.i) || blockers.bodies.entangled(c.j) {
         return None;
     }
-    let bodies = blockers.bodies.in_shaft(&Shaft::new(&a.corners, &b.corners), MOST_BODIES)?;
+    let bodies = blockers.bodies.in_shaft(&Shaft::new(&a.corners, &b.corners), [c.i, c.j], MOST_BODIES)?;
     shadows.visible(a, b, &bodies, c.wanted)
 }
 
@@ -156,8 +165,7 @@ pub(super) fn plan(candidates: &mut [Candidate], areas: &[f64], budget: f64) -> 
             .filter(|&row| errors[row] > budget)
             .map(|row| limits[row] * areas[row] / c.exchange)
             .fold(f64::INFINITY, f64::min);
-        let spent = c.segments >= MOST_SEGMENTS;
-        c.wanted = if c.error > wanted && !spent { wanted } else { 0.0 };
+        c.wanted = if c.error > wanted && !c.spent { wanted } else { 0.0 };
         more |= c.wanted > 0.0;
     }
     more

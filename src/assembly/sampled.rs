@@ -41,7 +41,7 @@ pub enum Estimator {
 /// What to compute, and within what.
 #[derive(Debug, Clone, Copy)]
 pub struct SampledOptions {
-    /// Bound on the expected sum over j of |dF_ij|, for every row i; in [1e-8, 1).
+    /// Bound on the expected sum over j of |dF_ij|, for every row i; in [1e-10, 1).
     pub tolerance: f64,
     /// Seed of the rays.
     pub seed: u64,

@@ -12,11 +12,11 @@ use super::lanes::{
     rule_on_few, rule_on_many, rule_on_whole, special_edges,
 };
 use super::pieces::{Pair, pieces};
-use super::select::{CONTOUR, Kernel, densest_point_error, ratios};
+use super::select::{CONTOUR, DENSEST_POINT, Kernel, densest_point_error, ratios};
 use super::{Accuracy, Patch, Shape, contour};
+use crate::error::{Error, Result};
 use crate::geometry::Vec3;
 use crate::geometry::polygon::{Plane, Side, area_vector, clip_to_front, side_of};
-use crate::geometry::quadrature::TriangleRule;
 use crate::simd::Instructions;
 use crate::simd::double::LANES;
 
@@ -63,6 +63,9 @@ impl Batch {
     }
 
     /// out_k = G of patch i of `a` and patch j of `b` for pair k = (i, j), unoccluded, m^2.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when `out` has not one place a pair.
     pub fn exchange_pairs(
         &mut self,
         a: &[Patch],
@@ -70,7 +73,10 @@ impl Batch {
         pairs: &[[u32; 2]],
         accuracy: &Accuracy,
         out: &mut [f64],
-    ) {
+    ) -> Result<()> {
+        if pairs.len() != out.len() {
+            return Err(Error::Invalid(format!("{} pairs need as many places, not {}", pairs.len(), out.len())));
+        }
         for (pairs, out) in pairs.chunks(BLOCK).zip(out.chunks_mut(BLOCK)) {
             self.clear();
             out.fill(0.0);
@@ -101,6 +107,7 @@ impl Batch {
             }
             self.run(a, b, accuracy, out);
         }
+        Ok(())
     }
 
     /// G of two polygons, m^2.
@@ -224,7 +231,7 @@ impl Batch {
         let (pairs, accuracy) = match pieces(pair.clone(), accuracy, allowed) {
             Some(pairs) => (pairs, accuracy.forced()),
             None if rounding <= densest_point_error(q_point) * g => return g,
-            None => (vec![pair], Accuracy::by(Kernel::Point(TriangleRule::P16))),
+            None => (vec![pair], Accuracy::only(DENSEST_POINT)),
         };
         let mut parts = vec![0.0; pairs.len()];
         for (k, pair) in pairs.iter().enumerate() {

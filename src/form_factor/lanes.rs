@@ -27,7 +27,7 @@ pub(super) struct Whole {
     pub(super) swapped: bool,
 }
 
-/// A pair of polygons in front of each other, in coordinates relative to the smaller.
+/// A pair of polygons in front of each other, in coordinates relative to a corner of one of them.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cut {
     pub(super) slot: u32,

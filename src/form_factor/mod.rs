@@ -15,7 +15,8 @@
 //! | [`select`] | which of them, for a tolerance | |
 //! | [`pieces`] | cut polygons, where no kernel can do the whole | slivers, very unequal sizes |
 //! | [`batch`] | many pairs, eight at a time ([`lanes`]) | |
-//! | [`occluded`] | the visible fraction V of a pair | |
+//! | [`shadow`] | the visible fraction V of a pair, by shadows of convex bodies | few bodies between |
+//! | [`occluded`] | the same, by segments | everything else |
 //!
 //! Two older estimators work row by row instead, occlusion included, with a sampling error in every entry; both send
 //! out rays from an [`emitter`]:

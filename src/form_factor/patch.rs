@@ -24,6 +24,11 @@ impl Patch {
         Patch { corners, normal, area, centre, radius }
     }
 
+    /// The same in coordinates relative to `origin`.
+    pub fn relative_to(&self, origin: Vec3) -> Patch {
+        Patch { corners: self.corners.map(|v| v - origin), centre: self.centre - origin, ..*self }
+    }
+
     /// Its plane.
     pub fn plane(&self) -> Plane {
         Plane { normal: self.normal, point: self.corners[0] }

@@ -5,9 +5,10 @@
 //! come close in one place.
 
 use super::select::{CONTOUR, ratios};
-use super::{Accuracy, Shape};
+use super::{Accuracy, Polygons, Shape, contour};
 use crate::geometry::Vec3;
-use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
+use crate::geometry::polygon::{MAX_CORNERS, Plane, area_vector, clip_to_front};
+use crate::simd::double::{Double, Plain, Vectors};
 
 /// More pieces than this are no better than a rule on the whole: two slivers side by side.
 const MOST_PIECES: usize = 512;
@@ -16,7 +17,7 @@ const MOST_PIECES: usize = 512;
 pub(super) type Pair = [(Vec<Vec3>, Vec3); 2];
 
 /// Cuts a pair until each piece suits a kernel; a contour integral may be off by `allowed`. `None` when that takes too many
-/// pieces.
+/// pieces, or makes one of too many corners.
 pub(super) fn pieces(pair: Pair, accuracy: &Accuracy, allowed: f64) -> Option<Vec<Pair>> {
     let (mut open, mut done) = (vec![pair], Vec::new());
     while let Some(pair) = open.pop() {
@@ -36,10 +37,14 @@ pub(super) fn pieces(pair: Pair, accuracy: &Accuracy, allowed: f64) -> Option<Ve
         }
         let first_is_larger = a.radius >= b.radius;
         let [(first, n), (second, m)] = pair;
+        let parts = halves(if first_is_larger { &first } else { &second });
+        if parts.iter().any(|half| half.len() > MAX_CORNERS) {
+            return None;
+        }
         if first_is_larger {
-            open.extend(halves(&first).map(|half| [(half, n), (second.clone(), m)]));
+            open.extend(parts.map(|half| [(half, n), (second.clone(), m)]));
         } else {
-            open.extend(halves(&second).map(|half| [(first.clone(), n), (half, m)]));
+            open.extend(parts.map(|half| [(first.clone(), n), (half, m)]));
         }
     }
     Some(done)
@@ -62,13 +67,11 @@ fn halves(corners: &[Vec3]) -> [Vec<Vec3>; 2] {
     })
 }
 
-/// See [`super::contour::rounding`].
+/// [`contour::rounding`] of one pair.
 fn rounding(small: &Shape, large: &Shape) -> f64 {
-    let perimeter = |s: &Shape| {
-        let n = s.corners.len();
-        (0..n).map(|k| s.corners[k].distance(s.corners[(k + 1) % n])).sum::<f64>()
-    };
-    let (p, q) = (perimeter(small), perimeter(large));
-    let ratio = 3.0 * small.centre.distance(large.centre) / p.min(q);
-    2.0 * f64::EPSILON * (1.0 + ratio) * p * q / std::f64::consts::TAU
+    let corners = |s: &Shape| s.corners.iter().map(|v| Vectors::splat(*v)).collect::<Vec<Vectors<Plain>>>();
+    let (s, l) = (corners(small), corners(large));
+    let polygons = [(&s, small.normal), (&l, large.normal)];
+    let [s, l] = polygons.map(|(corners, normal)| Polygons { corners, normal: Vectors::splat(normal) });
+    contour::rounding(&s, &l).to_array()[0]
 }

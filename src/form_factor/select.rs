@@ -67,6 +67,8 @@ const TABLE: [Thresholds; 6] = [
 #[derive(Debug, Clone, Copy)]
 pub struct Accuracy {
     thresholds: Thresholds,
+    /// The one kernel for every pair, as an index of [`Kernel::ALL`].
+    only: Option<usize>,
     forced: bool,
 }
 
@@ -85,17 +87,30 @@ impl Accuracy {
         let above = TABLE.iter().take_while(|row| row.tolerance >= tolerance).count();
         let (low, high) = (TABLE[above.min(TABLE.len() - 1)], TABLE[above.saturating_sub(1)]);
         if above == 0 || above == TABLE.len() {
-            return Ok(Accuracy { thresholds: high, forced: false });
+            return Ok(Accuracy { thresholds: high, only: None, forced: false });
         }
         let part = (tolerance / low.tolerance).ln() / (high.tolerance / low.tolerance).ln();
         let between = |k: usize| low.most[k] * (high.most[k] / low.most[k]).powf(part);
-        Ok(Accuracy { thresholds: Thresholds { tolerance, most: std::array::from_fn(between) }, forced: false })
+        let thresholds = Thresholds { tolerance, most: std::array::from_fn(between) };
+        Ok(Accuracy { thresholds, only: None, forced: false })
     }
 
     /// One kernel for every pair, whether it suits or not: what tables of error and cost are made of.
-    pub fn by(kernel: Kernel) -> Accuracy {
-        let most = std::array::from_fn(|k| if Kernel::ALL[k] == kernel { f64::INFINITY } else { 0.0 });
-        Accuracy { thresholds: Thresholds { tolerance: Accuracy::TIGHTEST, most }, forced: true }
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when the kernel is none of [`Kernel::ALL`].
+    pub fn by(kernel: Kernel) -> Result<Accuracy> {
+        let place = Kernel::ALL.iter().position(|k| *k == kernel);
+        place.map(Accuracy::only).ok_or_else(|| {
+            let names = Kernel::ALL.map(Kernel::name).join(", ");
+            Error::Invalid(format!("kernel {} is none of {names}", kernel.name()))
+        })
+    }
+
+    /// The kernel at a place of [`Kernel::ALL`] for every pair.
+    pub(super) fn only(place: usize) -> Accuracy {
+        let thresholds = Thresholds { tolerance: Accuracy::TIGHTEST, most: [0.0; 6] };
+        Accuracy { thresholds, only: Some(place), forced: true }
     }
 
     /// The same kernels, whose results are kept whatever their rounding.
@@ -116,14 +131,11 @@ impl Accuracy {
     /// The cheapest kernel for a pair with these ratios, as an index of [`Kernel::ALL`].
     #[inline]
     pub(super) fn choice(&self, q_area: f64, q_point: f64) -> usize {
-        Kernel::ALL
-            .iter()
-            .zip(&self.thresholds.most)
-            .position(|(kernel, most)| match kernel {
-                Kernel::Area(_) => q_area < *most,
-                Kernel::Point(_) | Kernel::Contour => q_point < *most,
-            })
-            .unwrap_or(Kernel::ALL.len() - 1)
+        let suits = |(kernel, most): (&Kernel, &f64)| match kernel {
+            Kernel::Area(_) => q_area < *most,
+            Kernel::Point(_) | Kernel::Contour => q_point < *most,
+        };
+        self.only.unwrap_or_else(|| Kernel::ALL.iter().zip(&self.thresholds.most).position(suits).unwrap_or(CONTOUR))
     }
 }
 
@@ -131,7 +143,10 @@ impl Accuracy {
     /// [`Accuracy::choice`] of eight pairs.
     #[inline(always)]
     pub(super) fn choices<D: Double>(&self, q_area: D, q_point: D) -> D {
-        let mut choice = D::splat((Kernel::ALL.len() - 1) as f64);
+        if let Some(place) = self.only {
+            return D::splat(place as f64);
+        }
+        let mut choice = D::splat(CONTOUR as f64);
         for k in (0..self.thresholds.most.len()).rev() {
             let ratio = if matches!(Kernel::ALL[k], Kernel::Area(_)) { q_area } else { q_point };
             choice = D::select(ratio.lt(D::splat(self.thresholds.most[k])), D::splat(k as f64), choice);
@@ -151,8 +166,11 @@ pub(super) fn ratios(small: &Shape, large: &Shape) -> [f64; 2] {
 /// The place of the contour integral among the kernels.
 pub(super) const CONTOUR: usize = Kernel::ALL.len() - 1;
 
+/// The place of the point rule of the most points.
+pub(super) const DENSEST_POINT: usize = CONTOUR - 1;
+
 /// The relative error that the densest point rule is known to keep at a ratio q_point; infinite beyond the table.
 pub(super) fn densest_point_error(q_point: f64) -> f64 {
-    let known = TABLE.iter().rev().find(|row| q_point < row.most[5]);
+    let known = TABLE.iter().rev().find(|row| q_point < row.most[DENSEST_POINT]);
     known.map_or(f64::INFINITY, |row| row.tolerance)
 }

@@ -13,17 +13,16 @@
 //! quartered, until the differences add up to what was asked. After Nishita & Nakamae 1985 (shadow volumes of convex polyhedra) and Walton 1987 (projected
 //! obstructions subtracted from the view).
 
-use std::borrow::Cow;
 use std::collections::BinaryHeap;
 
 use super::Patch;
 use super::point_to_polygon::edge_term;
-use crate::geometry::polygon::{Plane, Side, area_vector, clip_to_front};
+use crate::geometry::polygon::{Plane, Side, area_vector, clip_with_slack};
 use crate::geometry::quadrature::TrianglePoint;
 use crate::geometry::{Triangle, Vec3};
 use crate::simd::double::{Double, LANES, Vectors};
 use crate::simd::{Instructions, Machine, for_every_machine};
-use crate::visibility::body::Body;
+use crate::visibility::body::{Body, extremes};
 use crate::visibility::shaft::are_apart;
 
 /// Points of a triangle that leave no part of it unseen: near the corners, near the middles of the edges, the centroid. A
@@ -59,8 +58,13 @@ const MOST_CELLS: usize = 16_384;
 const STEPS: usize = 60;
 /// Intersections of shadows that are looked at from one point before rays are the better answer.
 const MOST_OVERLAPS: usize = 64;
+/// Edges of all bodies before rays are the better answer: walls are cut by one another, and no more than some hundred cuts a
+/// point keep a pair, which cannot be interrupted, within a second.
+const MOST_EDGES: usize = 512;
 /// The sine of an angle that counts as none: an edge so near to a plane through x lies in it.
 const FLAT: f64 = 1e-11;
+/// How far outside of [0, 1] rounding may put a visible fraction: the terms of a small patch far away cancel by so many digits.
+const ROUNDING: f64 = 1e-6;
 /// What may hide in a triangle of which every point sees all, or nothing: between the points near its border, or beyond.
 const UNSEEN: f64 = 1e-2;
 
@@ -177,17 +181,26 @@ impl Default for Shadows {
 
 impl Shadows {
     /// What `bodies` leave of the exchange of two patches, to an error of `wanted` as far as [`MOST_CELLS`] triangles
-    /// allow. No point of the patches may lie inside a body. `None` when too many shadows overlap.
+    /// allow. No point of the patches may lie inside a body. `None` when the bodies have too many edges, too many shadows overlap, or rounding is in the way.
     pub fn visible(&mut self, a: &Patch, b: &Patch, bodies: &[&Body], wanted: f64) -> Option<Visible> {
         let all = Some(Visible { fraction: 1.0, error: 0.0 });
-        let solids: Vec<Cow<Body>> = bodies.iter().filter_map(|body| between(body, [&a.plane(), &b.plane()])).collect();
+        if bodies.iter().map(|body| body.edges.len()).sum::<usize>() > MOST_EDGES {
+            return None;
+        }
+        let [slack_a, slack_b] = slacks([a, b]);
+        // What is cut has short edges, whose directions need more digits than coordinates far from the origin have.
+        let origin = a.corners[0];
+        let [a, b] = [a, b].map(|patch| patch.relative_to(origin));
+        let planes = [(a.plane(), slack_a), (b.plane(), slack_b)];
+        let solids: Vec<Body> = bodies.iter().filter_map(|body| between(body.relative_to(origin), &planes)).collect();
         if solids.is_empty() {
             return all;
         }
-        let (from, to) = if looks(a, b, &solids) { (a, b) } else { (b, a) };
+        let (from, to) = if looks(&a, &b, &solids) { (&a, &b) } else { (&b, &a) };
+        let slack = slack_a.max(slack_b);
         let (mut source, mut target) = (Vec::new(), Vec::new());
-        clip_to_front(&from.corners, &to.plane(), &mut source);
-        clip_to_front(&to.corners, &from.plane(), &mut target);
+        clip_with_slack(&from.corners, &to.plane(), slack, &mut source);
+        clip_with_slack(&to.corners, &from.plane(), slack, &mut target);
         if source.len() < 3 || target.len() < 3 {
             return all;
         }
@@ -197,25 +210,31 @@ impl Shadows {
         let fan: Vec<Triangle> = (2..source.len()).map(|k| [source[0], source[k - 1], source[k]]).collect();
         let whole: f64 = fan.iter().map(area).sum();
         let mut cells: BinaryHeap<Cell> = self.look(&fan, whole, from.normal, &target, &solids)?.into();
-        let total: f64 = cells.iter().map(|cell| cell.all).sum();
+        let mut total: f64 = cells.iter().map(|cell| cell.all).sum();
         if !(total > 0.0) {
             return all;
         }
         let mut error: f64 = cells.iter().map(|cell| cell.error).sum();
-        while error > wanted * total && cells.len() < MOST_CELLS {
+        while error / total > wanted && cells.len() < MOST_CELLS {
             let Some(worst) = cells.pop() else { break };
             let [p, q, r] = worst.triangle;
             let [pq, qr, rp] = [0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + p)];
             let quarters = [[p, pq, rp], [pq, q, qr], [rp, qr, r], [pq, qr, rp]];
             for cell in self.look(&quarters, whole, from.normal, &target, &solids)? {
                 error += cell.error;
+                total += cell.all;
                 cells.push(cell);
             }
             error -= worst.error;
+            total -= worst.all;
         }
         let cells = cells.into_vec();
         let (hidden, all) = cells.iter().fold((0.0, 0.0), |(hidden, all), c| (hidden + c.hidden, all + c.all));
-        Some(Visible { fraction: (1.0 - hidden / all).clamp(0.0, 1.0), error: error.max(0.0) / all })
+        let (sum, error) = (1.0 - hidden / all, (error / total).max(0.0));
+        let fraction = sum.clamp(0.0, 1.0);
+        // What is outside by more than rounding has lost a part of a border.
+        let outside = (sum - fraction).abs();
+        (outside <= error.max(ROUNDING)).then(|| Visible { fraction, error: error.max(outside) })
     }
 
     /// Whether a body hides all of the target from all of the source. The points from which one point is hidden make a convex
@@ -239,7 +258,7 @@ impl Shadows {
         whole: f64,
         normal: Vec3,
         target: &[Vec3],
-        solids: &[Cow<Body>],
+        solids: &[Body],
     ) -> Option<Vec<Cell>> {
         self.terms.clear();
         self.sums.clear();
@@ -287,17 +306,17 @@ impl Shadows {
     }
 
     /// Whether it is certain that all of the target is hidden from all of a triangle, or nothing.
-    fn is_proven(&mut self, triangle: &Triangle, target: &[Vec3], solids: &[Cow<Body>], hidden: bool) -> bool {
+    fn is_proven(&mut self, triangle: &Triangle, target: &[Vec3], solids: &[Body], hidden: bool) -> bool {
         if hidden {
             return solids.iter().any(|solid| self.hides_all(triangle, target, solid));
         }
         let hull: Vec<Vec3> = triangle.iter().chain(target).copied().collect();
-        solids.iter().all(|solid| are_apart(&hull, &solid.corners, solid.slack(), STEPS))
+        solids.iter().all(|solid| are_apart(&hull, &solid.corners, solid.slack, STEPS))
     }
 
     /// Adds what x sees to `slot` and what is hidden of it to the next; tells whether anything is hidden, and whether
     /// anything is not.
-    fn look_from(&mut self, x: Vec3, target: &[Vec3], solids: &[Cow<Body>], slot: u32) -> Option<[bool; 2]> {
+    fn look_from(&mut self, x: Vec3, target: &[Vec3], solids: &[Body], slot: u32) -> Option<[bool; 2]> {
         self.cones.clear();
         self.walls.clear();
         for k in 0..target.len() {
@@ -348,9 +367,8 @@ impl Shadows {
     /// Adds the walls of a body's shadow: none for a sheet seen edge on. False when x lies inside the body, or on its border
     /// and looks into it.
     fn push_silhouette(&mut self, x: Vec3, body: &Body) -> bool {
-        let slack = body.slack();
         self.faces.clear();
-        self.faces.extend(body.faces.iter().map(|face| face.distance(x) > slack));
+        self.faces.extend(body.faces.iter().map(|face| face.distance(x) > body.slack));
         if !self.faces.contains(&true) {
             return body.is_sheet();
         }
@@ -446,7 +464,7 @@ fn area(triangle: &Triangle) -> f64 {
 
 /// Whether `a` should look at `b` rather than `b` at `a`: the patch that is smaller as seen from the nearest body, since the
 /// shadows change the less as the point moves.
-fn looks(a: &Patch, b: &Patch, solids: &[Cow<Body>]) -> bool {
+fn looks(a: &Patch, b: &Patch, solids: &[Body]) -> bool {
     let angle = |patch: &Patch| {
         let nearest = solids
             .iter()
@@ -454,21 +472,30 @@ fn looks(a: &Patch, b: &Patch, solids: &[Cow<Body>]) -> bool {
             .fold(f64::INFINITY, f64::min);
         patch.area / nearest
     };
-    // Not a number where both touch: then the first looks.
-    !(angle(a) > angle(b))
+    // Infinite where both touch: then the first looks.
+    angle(a) <= angle(b)
 }
 
-/// The part of a body in front of both planes, or none.
-fn between<'a>(body: &'a Body, planes: [&Plane; 2]) -> Option<Cow<'a, Body>> {
-    let mut kept = Cow::Borrowed(body);
-    for plane in planes {
-        match kept.side_of(plane) {
+/// How far rounding may put what lies in the plane of a patch off it: of two patches as they were given, whose normals it
+/// turns by the more, the thinner they are.
+fn slacks(patches: [&Patch; 2]) -> [f64; 2] {
+    let (low, high) = extremes(patches.iter().flat_map(|patch| patch.corners));
+    let grain = f64::EPSILON * low.abs().max(high.abs()).max_element();
+    let size = (high - low).max_element();
+    // Area over radius is about the height. A distance is a sum of some products of rounded numbers.
+    patches.map(|patch| 16.0 * grain * (1.0 + size * patch.radius / patch.area))
+}
+
+/// The part of a body in front of both planes, each known to a length, or none.
+fn between(mut body: Body, planes: &[(Plane, f64); 2]) -> Option<Body> {
+    for (plane, slack) in planes {
+        match body.side_of(plane, *slack) {
             Side::Front => {}
             Side::Behind => return None,
-            Side::Across => kept = Cow::Owned(kept.cut(plane)),
+            Side::Across => body = body.cut(plane, *slack),
         }
     }
-    Some(kept)
+    Some(body)
 }
 
 /// How far the hidden fractions at corners and middles are from a linear function, in what symmetric rules cannot see: for

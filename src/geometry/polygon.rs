@@ -56,11 +56,11 @@ impl Plane {
 /// the corners that two touching polygons share would fall on a random side of each other's plane.
 const SNAP: f64 = 16.0 * f64::EPSILON;
 
-/// The side of `plane` on which `x` lies: signed distance, exactly 0 when it cannot be told from 0.
+/// The side of `plane` on which `x` lies: signed distance, exactly 0 when it is within `slack` or cannot be told from 0.
 #[inline]
-fn snapped_distance(plane: &Plane, x: Vec3) -> f64 {
+fn snapped_distance(plane: &Plane, x: Vec3, slack: f64) -> f64 {
     let d = plane.distance(x);
-    if d.abs() <= SNAP * (x - plane.point).abs().max_element() { 0.0 } else { d }
+    if d.abs() <= slack + SNAP * (x - plane.point).abs().max_element() { 0.0 } else { d }
 }
 
 /// Where a polygon lies as seen from a plane.
@@ -90,7 +90,7 @@ impl Side {
 pub fn side_of(corners: &[Vec3], plane: &Plane) -> Side {
     let (mut before, mut behind) = (false, false);
     for &corner in corners {
-        let distance = snapped_distance(plane, corner);
+        let distance = snapped_distance(plane, corner, 0.0);
         before |= distance > 0.0;
         behind |= distance < 0.0;
     }
@@ -102,12 +102,17 @@ pub fn side_of(corners: &[Vec3], plane: &Plane) -> Side {
 /// Sutherland & Hodgman 1974, one plane. Corners keep their order; corners within rounding of the plane are kept as
 /// they are, so that a polygon that only touches the plane comes back unchanged.
 pub fn clip_to_front(corners: &[Vec3], plane: &Plane, out: &mut Vec<Vec3>) {
+    clip_with_slack(corners, plane, 0.0, out);
+}
+
+/// The same where the plane is known to `slack` only: corners within it are kept as they are.
+pub fn clip_with_slack(corners: &[Vec3], plane: &Plane, slack: f64, out: &mut Vec<Vec3>) {
     out.clear();
     let mut in_front = false;
     let mut previous = corners[corners.len() - 1];
-    let mut previous_distance = snapped_distance(plane, previous);
+    let mut previous_distance = snapped_distance(plane, previous, slack);
     for &corner in corners {
-        let distance = snapped_distance(plane, corner);
+        let distance = snapped_distance(plane, corner, slack);
         if (previous_distance < 0.0 && distance > 0.0) || (previous_distance > 0.0 && distance < 0.0) {
             let t = previous_distance / (previous_distance - distance);
             out.push(previous + t * (corner - previous));

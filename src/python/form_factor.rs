@@ -61,7 +61,7 @@ pub(super) fn pair_form_factors<'py>(
             .map_init(Batch::new, |batch, (a, b)| {
                 progress.advance(a.len() as u64)?;
                 let mut factors = vec![0.0; a.len()];
-                batch.exchange_pairs(a, b, &pairs[..a.len()], &accuracy, &mut factors);
+                batch.exchange_pairs(a, b, &pairs[..a.len()], &accuracy, &mut factors)?;
                 factors.iter_mut().zip(a).for_each(|(f, a)| *f /= a.area);
                 Ok(factors)
             })

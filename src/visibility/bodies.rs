@@ -7,14 +7,14 @@
 //! Triangles are merged to convex polygons ([`super::merge`]), polygons to solids ([`super::solids`]). Every polygon that
 //! belongs to no solid is a sheet: a solid of two faces and no thickness.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 
 use super::body::{Body, extremes};
 use super::box_tree::BoxTree;
-use super::merge::Mesh;
+use super::hull::Hull;
+use super::merge::{Mesh, NONE};
 use super::shaft::Shaft;
 use super::solids::{Others, Shells};
-use crate::geometry::polygon::Plane;
 use crate::scene::Scene;
 
 /// The bodies of a scene that can stand between two of its patches.
@@ -22,6 +22,8 @@ use crate::scene::Scene;
 pub struct Bodies {
     /// Solids and sheets, which may overlap where the patches of the scene do.
     pub bodies: Vec<Body>,
+    /// The body that has a patch on its border, if any: a convex body hides nothing from there.
+    body_of: Vec<u32>,
     entangled: Vec<bool>,
     tree: BoxTree,
 }
@@ -36,10 +38,11 @@ impl Bodies {
         let hull = Hull::new(scene);
         let patches =
             BoxTree::new((0..scene.len() as u32).map(|i| (i, extremes(scene.triangle(i as usize)))).collect());
-        let shell_of_patch = |i: u32| shells.shell_of[polygon_of[mesh.numbers[i as usize] as usize] as usize];
+        let polygon_of_patch = |i: u32| polygon_of[mesh.numbers[i as usize] as usize] as usize;
+        let shell_of_patch = |i: u32| shells.shell_of[polygon_of_patch(i)];
 
         let (mut bodies, mut entangled) = (Vec::new(), vec![false; scene.len()]);
-        let mut sheets = HashSet::new();
+        let (mut sheets, mut body_of_polygon) = (HashMap::new(), vec![NONE; polygons.len()]);
         for (number, shell) in shells.shells.iter().enumerate() {
             let solid = shells.solid(shell).filter(|solid| {
                 let others = Others { scene, patches: &patches, is_own: |i| shell_of_patch(i) == number as u32 };
@@ -47,6 +50,7 @@ impl Bodies {
                 let Some(inside) = others.around(solid) else { return false };
                 if can_block {
                     inside.iter().for_each(|&i| entangled[i as usize] = true);
+                    shell.iter().for_each(|&p| body_of_polygon[p as usize] = bodies.len() as u32);
                     bodies.push(solid.body.clone());
                 }
                 true
@@ -59,30 +63,34 @@ impl Bodies {
                 let mut key = polygon.ring.clone();
                 key.sort_unstable();
                 // Two polygons with the same corners are the two sides of one sheet.
-                if hull.has_both_sides(&polygon.plane) && sheets.insert(key) {
-                    bodies.push(mesh.sheet(polygon));
+                if hull.has_both_sides(&polygon.plane) {
+                    body_of_polygon[p as usize] = *sheets.entry(key).or_insert_with(|| {
+                        bodies.push(mesh.sheet(polygon));
+                        bodies.len() as u32 - 1
+                    });
                 }
             }
         }
         let boxes =
             bodies.iter().enumerate().map(|(k, body): (usize, &Body)| (k as u32, (body.low, body.high))).collect();
-        Bodies { bodies, entangled, tree: BoxTree::new(boxes) }
+        let body_of = (0..scene.len() as u32).map(|i| body_of_polygon[polygon_of_patch(i)]).collect();
+        Bodies { bodies, body_of, entangled, tree: BoxTree::new(boxes) }
     }
 
-    /// Whether a body may reach into a shaft, by quick tests.
-    pub fn may_meet(&self, shaft: &Shaft) -> bool {
+    /// Whether a body may reach into the shaft between two patches, by quick tests.
+    pub fn may_meet(&self, shaft: &Shaft, patches: [u32; 2]) -> bool {
         let mut found = false;
-        self.near(shaft, |k| {
+        self.near(shaft, patches, |k| {
             found = found || shaft.may_hold(&self.bodies[k as usize]);
             !found
         });
         found
     }
 
-    /// The bodies that reach into a shaft, or may, in their order, up to `most`; `None` when there are more.
-    pub fn in_shaft(&self, shaft: &Shaft, most: usize) -> Option<Vec<&Body>> {
+    /// The bodies that reach into the shaft between two patches, or may, in their order, up to `most`; `None` when there are more.
+    pub fn in_shaft(&self, shaft: &Shaft, patches: [u32; 2], most: usize) -> Option<Vec<&Body>> {
         let mut found: Vec<u32> = Vec::new();
-        self.near(shaft, |k| {
+        self.near(shaft, patches, |k| {
             if shaft.holds(&self.bodies[k as usize]) {
                 found.push(k);
             }
@@ -92,13 +100,14 @@ impl Bodies {
         (found.len() <= most).then(|| found.into_iter().map(|k| &self.bodies[k as usize]).collect())
     }
 
-    /// Visits the bodies whose boxes a shaft may meet, until `visit` returns false.
-    fn near(&self, shaft: &Shaft, mut visit: impl FnMut(u32) -> bool) {
+    /// Visits the bodies whose boxes a shaft may meet, but for those that the patches are part of, until `visit` returns false.
+    fn near(&self, shaft: &Shaft, patches: [u32; 2], mut visit: impl FnMut(u32) -> bool) {
+        let own = patches.map(|i| self.body_of[i as usize]);
         let mut goes_on = true;
         self.tree.walk(|node| {
             let opens = goes_on && shaft.may_meet_box(node.low, node.high);
             for (k, (low, high)) in self.tree.items[node.items.clone()].iter().filter(|_| opens) {
-                goes_on = goes_on && (!shaft.may_meet_box(*low, *high) || visit(*k));
+                goes_on = goes_on && (own.contains(k) || !shaft.may_meet_box(*low, *high) || visit(*k));
             }
             opens
         });
@@ -112,28 +121,5 @@ impl Bodies {
     /// Whether a patch reaches into the inside of a solid. Its points may lie inside a body, whose shadow is then no cone.
     pub fn entangled(&self, patch: u32) -> bool {
         self.entangled[patch as usize]
-    }
-}
-
-/// What lies on both sides of a plane, asked of all corners of the scene's patches.
-struct Hull {
-    points: BoxTree,
-    tolerance: f64,
-}
-
-impl Hull {
-    fn new(scene: &Scene) -> Hull {
-        let mut used: Vec<u32> = scene.faces().as_flattened().to_vec();
-        used.sort_unstable();
-        used.dedup();
-        let at = |v: u32| scene.vertices()[v as usize];
-        let points = BoxTree::new(used.into_iter().map(|v| (v, (at(v), at(v)))).collect());
-        let (low, high) = points.bounds();
-        let size = (high - low).max_element().max(low.abs().max(high.abs()).max_element());
-        Hull { points, tolerance: 64.0 * f64::EPSILON * size }
-    }
-
-    fn has_both_sides(&self, plane: &Plane) -> bool {
-        self.points.sides(plane, [self.tolerance, -self.tolerance]) == (true, true)
     }
 }

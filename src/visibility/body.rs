@@ -16,6 +16,8 @@ pub struct Body {
     pub low: Vec3,
     /// The largest coordinates.
     pub high: Vec3,
+    /// A length that counts as none beside the body: a part of its size, or the rounding of its coordinates as they were given.
+    pub slack: f64,
 }
 
 /// Where two faces of a body meet.
@@ -41,7 +43,24 @@ impl Body {
         });
         corners.dedup();
         let (low, high) = extremes(corners.iter().copied());
-        Body { faces, edges, corners, low, high }
+        let slack = 1e-10 * (high - low).max_element() + 64.0 * f64::EPSILON * high.abs().max(low.abs()).max_element();
+        Body { faces, edges, corners, low, high, slack }
+    }
+
+    /// The same in coordinates relative to `origin`.
+    pub fn relative_to(&self, origin: Vec3) -> Body {
+        Body {
+            faces: self.faces.iter().map(|face| Plane { point: face.point - origin, ..*face }).collect(),
+            edges: self
+                .edges
+                .iter()
+                .map(|edge| Edge { start: edge.start - origin, end: edge.end - origin, ..*edge })
+                .collect(),
+            corners: self.corners.iter().map(|x| *x - origin).collect(),
+            low: self.low - origin,
+            high: self.high - origin,
+            slack: self.slack,
+        }
     }
 
     /// Whether the body has no thickness.
@@ -50,37 +69,27 @@ impl Body {
         front.normal == -back.normal && front.point == back.point
     }
 
-    /// A length that counts as none beside the body.
-    pub fn slack(&self) -> f64 {
-        let size = (self.high - self.low).max_element();
-        1e-10 * size + 64.0 * f64::EPSILON * self.high.abs().max(self.low.abs()).max_element()
-    }
-
-    /// The distance of `x` before `plane`, exactly 0 when it counts as none.
-    fn snapped(&self, plane: &Plane, x: Vec3) -> f64 {
-        let d = plane.distance(x);
-        if d.abs() <= self.slack() { 0.0 } else { d }
-    }
-
-    /// Where the body lies as seen from a plane.
-    pub fn side_of(&self, plane: &Plane) -> Side {
+    /// Where the body lies as seen from a plane that is known to `slack`.
+    pub fn side_of(&self, plane: &Plane, slack: f64) -> Side {
+        let slack = self.slack.max(slack);
         let (mut before, mut behind) = (false, false);
         for &corner in &self.corners {
-            let d = self.snapped(plane, corner);
+            let d = snapped(plane, corner, slack);
             before |= d > 0.0;
             behind |= d < 0.0;
         }
         Side::of(before, behind)
     }
 
-    /// The part in front of a plane that cuts the body: edges are cut, and each face that the plane cuts gets an edge along the
-    /// cut.
-    pub fn cut(&self, plane: &Plane) -> Body {
+    /// The part in front of a plane, known to `slack`, that cuts the body: edges are cut, and each face that the plane cuts gets
+    /// an edge along the cut.
+    pub fn cut(&self, plane: &Plane, slack: f64) -> Body {
+        let slack = self.slack.max(slack);
         let mut edges = Vec::with_capacity(self.edges.len() + 2);
         // Where the cut enters and leaves each face, and whether the face has something in front.
         let mut cuts: Vec<([Option<Vec3>; 2], bool)> = vec![([None; 2], false); self.faces.len()];
         for edge in &self.edges {
-            let (d0, d1) = (self.snapped(plane, edge.start), self.snapped(plane, edge.end));
+            let (d0, d1) = (snapped(plane, edge.start, slack), snapped(plane, edge.end, slack));
             let crosses = (d0 < 0.0 && d1 > 0.0) || (d0 > 0.0 && d1 < 0.0);
             let crossing = crosses.then(|| edge.start + d0 / (d0 - d1) * (edge.end - edge.start));
             for face in [edge.left, edge.right] {
@@ -88,9 +97,17 @@ impl Body {
                 *front |= d0 > 0.0 || d1 > 0.0;
                 let on_plane = [crossing, (d0 == 0.0).then_some(edge.start), (d1 == 0.0).then_some(edge.end)];
                 for point in on_plane.into_iter().flatten() {
-                    match points {
+                    // Of several corners that count as on the plane, the cut runs between the outermost.
+                    match *points {
                         [None, _] => points[0] = Some(point),
-                        [Some(first), None] if *first != point => points[1] = Some(point),
+                        [Some(p), None] if p != point => points[1] = Some(point),
+                        [Some(p), Some(q)] => {
+                            let across = p.distance_squared(q);
+                            let [to_p, to_q] = [p, q].map(|x| x.distance_squared(point));
+                            if to_p.max(to_q) > across {
+                                points[usize::from(to_p >= to_q)] = Some(point);
+                            }
+                        }
                         _ => {}
                     }
                 }
@@ -113,11 +130,17 @@ impl Body {
         }
         let mut faces = self.faces.clone();
         faces.push(Plane { normal: -plane.normal, point: plane.point });
-        Body::new(faces, edges)
+        Body { slack, ..Body::new(faces, edges) }
     }
 }
 
+/// The distance of `x` before `plane`, exactly 0 when it counts as none.
+fn snapped(plane: &Plane, x: Vec3, slack: f64) -> f64 {
+    let d = plane.distance(x);
+    if d.abs() <= slack { 0.0 } else { d }
+}
+
 /// Smallest and largest coordinates.
-pub(super) fn extremes(points: impl IntoIterator<Item = Vec3>) -> (Vec3, Vec3) {
+pub fn extremes(points: impl IntoIterator<Item = Vec3>) -> (Vec3, Vec3) {
     points.into_iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
 }

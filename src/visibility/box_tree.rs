@@ -59,7 +59,7 @@ impl BoxTree {
         self.nodes.first().map_or((Vec3::ZERO, Vec3::ZERO), |root| (root.low, root.high))
     }
 
-    /// Visits the nodes for which `opens` is true and the boxes in them, until `visit` returns false.
+    /// Calls `opens` with the root, and with the nodes below every one for which it is true.
     pub(super) fn walk(&self, mut opens: impl FnMut(&Node) -> bool) {
         let mut index = 0;
         while let Some(node) = self.nodes.get(index) {

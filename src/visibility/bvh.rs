@@ -10,6 +10,7 @@ use std::collections::hash_map::Entry;
 use glam::Vec3A;
 
 use super::build::{Bounds, binary_tree};
+use super::hull::Hull;
 use super::ray::Hit;
 use super::wide::Wide;
 use crate::geometry::polygon::area_vector;
@@ -194,22 +195,6 @@ pub(super) fn distinct_triangles(scene: &Scene, patches: &[u32]) -> (Vec<Patches
 
 /// The patches that have both something before them and something behind them.
 fn blockers(scene: &Scene) -> Vec<u32> {
-    let mut is_used = vec![false; scene.vertices().len()];
-    scene.faces().iter().flatten().for_each(|&v| is_used[v as usize] = true);
-    let used: Vec<Vec3> = scene.vertices().iter().zip(is_used).filter_map(|(v, used)| used.then_some(*v)).collect();
-    let (low, high) = bounds(scene);
-    // What lies off a plane by less than the rounding of its coordinates lies in it.
-    let tolerance = 64.0 * f64::EPSILON * (high - low).max_element().max(low.abs().max(high.abs()).max_element());
-    (0..scene.len() as u32)
-        .filter(|&i| {
-            let plane = scene.plane(i as usize);
-            let (mut before, mut behind) = (false, false);
-            used.iter().any(|&v| {
-                let d = plane.distance(v);
-                before |= d > tolerance;
-                behind |= d < -tolerance;
-                before && behind
-            })
-        })
-        .collect()
+    let hull = Hull::new(scene);
+    (0..scene.len() as u32).filter(|&i| hull.has_both_sides(&scene.plane(i as usize))).collect()
 }

@@ -11,7 +11,7 @@
 //! - [`intersect`]: the watertight test in f64 that decides (Woop, Benthin & Wald 2013); [`own_surface`]: what a ray leaves
 //!   out of account
 //! - [`bodies`]: what blocks, merged ([`merge`], [`solids`]) to few convex bodies ([`body`]); [`shaft`]: which of them may stand between two patches;
-//!   [`box_tree`]: where they are looked up
+//!   [`box_tree`]: where they are looked up; [`hull`]: what cannot block
 //!
 //! The conversion to f32, the normalisation of coordinates and the self-hit rule live in this folder and nowhere else.
 
@@ -22,6 +22,7 @@ mod box_tree;
 mod build;
 mod bundle;
 pub mod bvh;
+mod hull;
 mod intersect;
 mod merge;
 mod own_surface;

@@ -22,7 +22,7 @@ fn f(a: &[Vec3], b: &[Vec3]) -> f64 {
 
 /// G by one kernel.
 fn by(kernel: Kernel, a: &Shape, b: &Shape) -> f64 {
-    exchange(a, b, &Accuracy::by(kernel))
+    exchange(a, b, &Accuracy::by(kernel).unwrap())
 }
 
 /// The rectangle with corners p, p + u, p + u + v, p + v; front along u x v.
@@ -264,6 +264,21 @@ fn splitting_a_polygon_preserves_the_sum() {
 }
 
 #[test]
+fn only_kernels_that_may_be_chosen_are_forced_and_every_pair_needs_a_place() {
+    for kernel in [Kernel::Area(TriangleRule::P16), Kernel::Point(TriangleRule::P3)] {
+        assert!(invalid(Accuracy::by(kernel)).contains(&kernel.name()));
+    }
+    // Polygons that touch: a point rule is far off, and still it is what has been asked for.
+    let a = [Vec3::ZERO, Vec3::X, Vec3::Y];
+    let b = [Vec3::ZERO, Vec3::Z, Vec3::X];
+    let (a, b) = (Shape::new(&a), Shape::new(&b));
+    assert!(by(Kernel::Point(TriangleRule::P7), &a, &b) != by(Kernel::Contour, &a, &b));
+    let patches = [Patch::new([Vec3::ZERO, Vec3::X, Vec3::Y])];
+    let accuracy = Accuracy::new(1e-3).unwrap();
+    assert!(invalid(Batch::new().exchange_pairs(&patches, &patches, &[[0, 0]], &accuracy, &mut [])).contains("places"));
+}
+
+#[test]
 fn a_batch_gives_the_bits_of_every_pair_alone_on_all_instructions_the_same_to_rounding() {
     let random = Random::new(38);
     let pairs: Vec<(&str, Triangle, Triangle)> = (0..1400).map(|case| random_pair(&random, case)).collect();
@@ -273,7 +288,7 @@ fn a_batch_gives_the_bits_of_every_pair_alone_on_all_instructions_the_same_to_ro
         let accuracy = Accuracy::new(tolerance).unwrap();
         let all = Instructions::available().into_iter().map(|instructions| {
             let mut out = vec![0.0; pairs.len()];
-            Batch::with_instructions(instructions).exchange_pairs(&a, &b, &order, &accuracy, &mut out);
+            Batch::with_instructions(instructions).exchange_pairs(&a, &b, &order, &accuracy, &mut out).unwrap();
             out
         });
         let all: Vec<Vec<f64>> = all.collect();

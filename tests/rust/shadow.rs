@@ -78,7 +78,7 @@ fn shadows_leave_what_segments_reach() {
                     continue;
                 }
                 let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
-                let in_shaft = bodies.in_shaft(&shaft, 8).expect("few bodies");
+                let in_shaft = bodies.in_shaft(&shaft, [i as u32, j as u32], 8).expect("few bodies");
                 let end = |k: usize| End { patch: k as u32, triangle: patches[k].corners, normal: patches[k].normal };
                 let sampled = visible_fraction(&tree, &end(i), &end(j), SEGMENTS, 7);
                 if sampled.standard_error > 0.02 {
@@ -116,5 +116,87 @@ fn every_row_is_within_its_tolerance_of_converged_factors() {
             // The converged factors are off by a tenth of the tightest tolerance themselves.
             assert!(f.error_estimate() <= tolerance && worst <= tolerance + 1e-5, "{name}: {worst:e} at {tolerance:e}");
         }
+    }
+}
+
+#[test]
+fn far_from_the_origin_shadows_are_the_same() {
+    const TOLERANCE: f64 = 1e-3;
+    let inner = box_from(Vec3::splat(-10.0), Vec3::splat(10.0), 1).reversed();
+    let mesh = box_from(Vec3::splat(-20.0), Vec3::splat(20.0), 2).and(&inner);
+    let random = Random::new(3);
+    for _ in 0..3 {
+        let rotation = random.rotation();
+        let at = |off: f64| {
+            let way = off * vec3(1.0, 0.7, -0.4);
+            let scene = mesh.clone().map(|v| rotated(&rotation, v) + way).scene();
+            let f = dense(&scene, TOLERANCE, 0);
+            (table(&f), f.error_estimate(), f.segments())
+        };
+        let (near, near_error, _) = at(0.0);
+        let n = mesh.faces.len();
+        for off in [1e3, 1e5, 1e6, 1e7] {
+            let (far, error, segments) = at(off);
+            assert_eq!(segments, 0, "at {off:e}");
+            assert!(error <= TOLERANCE);
+            for (i, (far, near)) in far.chunks(n).zip(near.chunks(n)).enumerate() {
+                let sum: f64 = far.iter().sum();
+                let difference: f64 = far.iter().zip(near).map(|(a, b)| (a - b).abs()).sum();
+                // The scene is closed. Rounding moves the corners by 1e-11 of the size at most, far below the estimates.
+                assert!((sum - 1.0).abs() <= error, "patch {i} at {off:e}: the row adds up to {sum}");
+                assert!(difference <= error + near_error, "patch {i} at {off:e}: {difference:e} from the factors at 0");
+            }
+        }
+    }
+}
+
+#[test]
+fn slivers_are_not_hidden_by_their_own_body() {
+    // A strip along an edge of the box inside the room; so thin that rounding turns its plane into the box.
+    const STRIP: f64 = 1e-5;
+    const TOLERANCE: f64 = 1e-3;
+    let (low, high) = (Vec3::splat(-10.0), Vec3::splat(10.0));
+    let mut inner = box_from(low, high, 1).reversed();
+    let on_top = |f: &[i64; 3]| f.iter().all(|&v| inner.vertices[v as usize].z == high.z);
+    let sides: Vec<[i64; 3]> = inner.faces.iter().filter(|f| !on_top(f)).copied().collect();
+    inner.faces = sides;
+    let corner = vec3(low.x, low.y, high.z);
+    let strip = plate(corner, 20.0 * Vec3::X, STRIP * Vec3::Y, 1);
+    let rest = plate(corner + STRIP * Vec3::Y, 20.0 * Vec3::X, (20.0 - STRIP) * Vec3::Y, 1);
+    let mesh = box_from(Vec3::splat(-20.0), Vec3::splat(20.0), 2).and(&inner).and(&strip).and(&rest);
+    let random = Random::new(5);
+    for off in [0.0, 1e3, 1e4] {
+        let rotation = random.rotation();
+        let scene = mesh.clone().map(|v| rotated(&rotation, v) + off * vec3(1.0, 0.7, -0.4)).scene();
+        let f = dense(&scene, TOLERANCE, 0);
+        assert!(f.error_estimate() <= TOLERANCE);
+        // Rounding by 4 ulp moves the strip's sides by so much of its width, which is how far its own area may be off.
+        let rounding = 4.0 * f64::EPSILON * off / STRIP;
+        for (i, row) in table(&f).chunks(scene.len()).enumerate() {
+            let sum: f64 = row.iter().sum();
+            assert!(
+                (sum - 1.0).abs() <= f.error_estimate() + rounding,
+                "patch {i} at {off:e}: the row adds up to {sum}"
+            );
+        }
+    }
+}
+
+#[test]
+fn bodies_of_many_edges_are_left_to_segments() {
+    let ball = |level| icosphere(level).map(|v| vec3(0.5, 0.5, 0.5) + 0.25 * v);
+    for (level, known) in [(2, true), (3, false)] {
+        let scene = cube(1).and(&ball(level)).scene();
+        let bodies = Bodies::of_scene(&scene);
+        let [a, b] = [0, 3].map(|i| Patch::new(scene.triangle(i)));
+        let solids: Vec<_> = bodies.bodies.iter().collect();
+        // 480 edges, and 1920.
+        assert_eq!(solids.len(), 1);
+        assert_eq!(
+            Shadows::default().visible(&a, &b, &solids, 1e-2).is_some(),
+            known,
+            "{} edges",
+            solids[0].edges.len()
+        );
     }
 }

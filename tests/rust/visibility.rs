@@ -379,7 +379,7 @@ fn shafts(scene: &Scene, random: &Random, segments: usize) -> [usize; 3] {
         for j in 0..i {
             let exclude = [i as u32, j as u32];
             let shaft = Shaft::new(&scene.triangle(i), &scene.triangle(j));
-            let says_empty = bodies.in_shaft(&shaft, 0).is_some();
+            let says_empty = bodies.in_shaft(&shaft, [i as u32, j as u32], 0).is_some();
             let mut is_blocked = false;
             let mut cast = 0;
             for _ in 0..segments {
