@@ -280,7 +280,7 @@ def _table(reference: Reference, rows: Sequence[Row]) -> str:
     lines.append(f"{head} {'x Mitsuba':>10s}" if c is not None else head)
     for row in rows:
         asked = f"{row.paths / 1e6:.2f} M" if row.paths is not None else _percent(row.tolerance)
-        error = _percent(row.error) if row.error is not None else f"< {_percent(row.noise)}"
+        error = "< " * (row.error is None and row.noise > 0.0) + _percent(row.noise if row.error is None else row.error)
         solver = "" if row.solver_seconds is None else f"{row.solver_seconds:.4f}"
         times = "" if row.times_mitsuba is None else _times(row.times_mitsuba)
         lines.append(
@@ -290,12 +290,18 @@ def _table(reference: Reference, rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+# What is smaller is printed as 0: the rounding of sums over some thousand patches.
+_ROUNDING = 1e-12
+
+
 def _times(ratio: float) -> str:
     return "> 1000" if ratio > 1000.0 else f"{ratio:.0f}" if ratio >= 10.0 else f"{ratio:.2g}"
 
 
 def _percent(value: float | None) -> str:
-    return "" if value is None else f"{100.0 * value:.3g} %"
+    if value is None:
+        return ""
+    return f"{100.0 * value:.3g} %" if value > _ROUNDING else "0 %"
 
 
 def _write_csv(path: Path, rows: Sequence[Row]) -> None:
@@ -341,13 +347,15 @@ def draw(path: Path, rows: Sequence[Row]) -> None:
     lines = math.ceil(len(names) / columns)
     figure = Figure(figsize=(4.4 * columns, 3.7 * lines + 1.1), layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False)
+    for panel in panels[:, 0]:
+        panel.set_ylabel(f"error of B - E; on the lower edge: under {_percent(edge)}")
     for panel in panels.flat[len(names) :]:
         panel.set_axis_off()
     for panel, name in zip(panels.flat, names, strict=False):
         here = [row for row in rows if row.scene == name]
         panel.set(xscale="log", yscale="log", xlim=seconds, ylim=(0.85 * edge, 2.0 * max(tolerances, default=0.1)))
         panel.set_title(f"{name}, {here[0].patches:,} patches", fontsize=11)
-        panel.set(xlabel="seconds", ylabel="error of B - E")
+        panel.set_xlabel("seconds")
         panel.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         panel.xaxis.set_minor_formatter(NullFormatter())
         panel.yaxis.set_minor_locator(NullLocator())
