@@ -31,6 +31,7 @@ bench: .venv/test
 	$(PIP) embreex || echo "embreex cannot be installed here: no comparison with Embree"
 	$(PIP) pyviewfactor || echo "pyviewfactor cannot be installed here: no comparison with it"
 	for bench in benches/*.py; do $(BIN)/python $$bench || exit 1; done
+	$(BIN)/radiosity bench --output out
 
 # The environment is made anew when what it is built from has changed.
 SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find src python -name '*.rs' -o -name '*.py' -o -name '*.pyi')

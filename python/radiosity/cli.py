@@ -1,4 +1,4 @@
-"""The command line: ``radiosity demo``."""
+"""The command line: ``radiosity demo`` and ``radiosity bench``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import sys
 from collections.abc import Sequence
 
 from . import __version__
+from .bench import run as run_bench
 from .demo import run as run_demo
+from .references import NAMES
 from .solution import ConvergenceError
 
 
@@ -24,9 +26,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--tolerance", type=float, default=0.02, help="relative error asked of the solution (default: 0.02)"
     )
     demo.add_argument("--no-mitsuba", action="store_true", help="do not time Mitsuba even if it is installed")
+    bench = commands.add_parser("bench", help="error against seconds of all methods, and of Mitsuba, on known scenes")
+    bench.add_argument(
+        "-o", "--output", default="out", metavar="FOLDER", help="where bench.csv and bench.png go (default: out)"
+    )
+    bench.add_argument("--scenes", nargs="+", choices=NAMES, default=NAMES, metavar="NAME", help=", ".join(NAMES))
+    bench.add_argument("--no-mitsuba", action="store_true", help="do not race against Mitsuba even if it is installed")
     options = parser.parse_args(arguments)
     try:
-        print(run_demo(options.output, options.tolerance, not options.no_mitsuba))
+        if options.command == "demo":
+            print(run_demo(options.output, options.tolerance, not options.no_mitsuba))
+        else:
+            run_bench(options.output, options.scenes, not options.no_mitsuba)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130

@@ -11,28 +11,16 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from time import perf_counter
 
-import numpy as np
-
-from .arrays import FloatArray
+from . import references
 from .load import load
-from .mitsuba import reference_radiosity, variant
+from .mitsuba.patch_tracer import PatchTracer
+from .references import Reference, relative_error
 from .render import Camera, render, save_image
-from .scene import Scene
 from .scenes import cornell_box_view
 from .solve import solve
 
-# Paths of the run that times Mitsuba: enough for its noise to be well above that of the stored reference.
-_MITSUBA_PATHS = 1 << 21
-
-
-def relative_error(scene: Scene, radiosity: FloatArray, reference: FloatArray) -> float:
-    """Area-weighted RMS of the difference, over that of the reflected radiosity B - E of the reference.
-
-    Leaving the emission in would let a bright lamp hide the error. All bands together.
-    """
-    area = scene.areas[:, None]
-    difference = np.sum(area * (radiosity - reference) ** 2)
-    return float(np.sqrt(difference / np.sum(area * (reference - scene.emission) ** 2)))
+# Paths of the run that times Mitsuba: few enough for its noise to be well above that of the stored reference.
+_MITSUBA_PATHS = 1 << 20
 
 
 def run(folder: str | os.PathLike[str], tolerance: float, with_mitsuba: bool) -> str:
@@ -58,10 +46,8 @@ def run(folder: str | os.PathLike[str], tolerance: float, with_mitsuba: bool) ->
     report = solution.report
     audit = report.audit
     assert audit is not None  # a scene has areas
-    with as_file(files("radiosity") / "data" / "cornell_box_reference.npz") as path, np.load(path) as data:
-        reference, noise, version = data["radiosity"], data["stderr"], str(data["mitsuba_version"])
-    error = relative_error(scene, solution.radiosity, reference)
-    noise_part = relative_error(scene, reference + noise, reference)
+    reference = references.load("cornell")
+    error, noise = relative_error(scene, solution.radiosity, reference.radiosity, reference.standard_error)
     rows = [
         ("patches", f"{scene.n_patches}, {scene.bands} bands"),
         ("load the mesh", f"{loaded - started:.2f} s"),
@@ -76,26 +62,25 @@ def run(folder: str | os.PathLike[str], tolerance: float, with_mitsuba: bool) ->
             f"{100 * solution.error_estimate:.2f} % (estimate; {100 * tolerance:g} % was asked)",
         ),
         ("error against Mitsuba", f"{100 * error:.2f} % of B - E, discretisation included"),
-        ("noise of that reference", f"{100 * noise_part:.2f} % (Mitsuba {version}, stored)"),
-        ("Mitsuba to that error", _mitsuba_time(scene, reference, error) if with_mitsuba else "not asked for"),
+        ("noise of that reference", f"{100 * noise:.2f} % (stored; taken off in quadrature)"),
+        ("Mitsuba to that error", _mitsuba_time(reference, error) if with_mitsuba else "not asked for"),
         ("picture written to", str(picture)),
     ]
     return "\n".join(f"{name:24s} {value}" for name, value in rows)
 
 
-def _mitsuba_time(scene: Scene, reference: FloatArray, error: float) -> str:
+def _mitsuba_time(reference: Reference, error: float) -> str:
     """What Mitsuba needs for the same error: its error falls like 1 / sqrt(time), so one run tells."""
     try:
-        name = variant()
-        # The first call compiles the kernels; the second is the one to time.
-        reference_radiosity(scene, _MITSUBA_PATHS // 16, seed=1)
-        start = perf_counter()
-        estimate, _ = reference_radiosity(
-            scene, _MITSUBA_PATHS if name != "scalar_rgb" else _MITSUBA_PATHS // 8, seed=2
-        )
-        seconds = perf_counter() - start
+        tracer = PatchTracer(reference.scene)
     except ImportError as missing:
         return f"not measured: {missing}"
-    reached = relative_error(scene, estimate, reference)
+    paths = _MITSUBA_PATHS if tracer.variant != "scalar_rgb" else _MITSUBA_PATHS // 8
+    # The first call compiles the kernels; the second is the one to time.
+    tracer(paths, seed=1)
+    start = perf_counter()
+    estimate, _ = tracer(paths, seed=2)
+    seconds = perf_counter() - start
+    reached, _ = relative_error(reference.scene, estimate, reference.radiosity, reference.standard_error)
     needed = seconds * (reached / error) ** 2
-    return f"{needed:.2f} s ({name}; {100 * reached:.2f} % in {seconds:.2f} s, scaled)"
+    return f"{needed:.2f} s ({tracer.variant}; {100 * reached:.2f} % in {seconds:.2f} s, scaled)"

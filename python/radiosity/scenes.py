@@ -8,6 +8,7 @@ function takes `max_edge`: the scene is then subdivided until no edge is longer,
     furnace           a closed cavity of one material; B = E / (1 - rho) everywhere, exactly
     parallel_plates   two squares; their form factor has a closed form
     two_rooms         two rooms and a door; all light of the second comes through the door
+    colonnade         a hall with a double row of pillars, which throw shadows of two colours
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy.typing as npt
 from .arrays import FloatArray
 from .scene import Scene
 
-__all__ = ["cornell_box", "cornell_box_view", "furnace", "parallel_plates", "two_rooms"]
+__all__ = ["colonnade", "cornell_box", "cornell_box_view", "furnace", "parallel_plates", "two_rooms"]
 
 _Point = Sequence[float]
 _Lines = tuple[Sequence[float], Sequence[float], Sequence[float]]
@@ -280,3 +281,82 @@ def two_rooms(max_edge: float | None = None) -> Scene:
     builder.wall("doorway", z, -1, 2.0, door, frame)
     builder.wall("doorway", z, +1, 0.0, door, grey)
     return builder.scene(max_edge)
+
+
+def colonnade(max_edge: float | None = None) -> Scene:
+    """Build a hall with a double row of three pillars each, and two coloured lamps in the ceiling between the rows.
+
+    The hall is 12 x 8 x 4 m, z up, from (0, 0, 0) to (12, 8, 4), and closed. The pillars are regular octagonal prisms
+    from floor to ceiling, 0.45 m from axis to corner, at x = 2, 6, 10 and y = 2, 6; floor and ceiling have holes where
+    they stand. The lamps, 1 x 1 m around (2, 4) and (10, 4), emit (120, 90, 60) and (60, 90, 120) W/m^2, so that every
+    pillar throws shadows of two colours.
+
+    Args:
+        max_edge: longest edge in m; None gives the coarsest mesh, 292 patches; 3.0 gives 588.
+
+    Returns:
+        A scene of 3 bands, named "floor", "ceiling", "warm lamp", "cool lamp", "walls", "end walls" and "pillars".
+
+    """
+    stone, plaster, lamp = (0.5, 0.5, 0.5), (0.75, 0.75, 0.75), (0.6, 0.6, 0.6)
+    sandstone, brick = (0.7, 0.6, 0.45), (0.6, 0.3, 0.2)
+    height = 4.0
+    # Bays: a pillar in the middle of each cell of the first and the last row; the cells between them have the lamps.
+    across = ([0.0, 4.0, 8.0, 12.0], [0.0, 3.0, 5.0, 8.0], [0.0, height])
+    lamps = {2.0: ("warm lamp", (120.0, 90.0, 60.0)), 10.0: ("cool lamp", (60.0, 90.0, 120.0))}
+    x, y = 0, 1
+
+    builder = _Builder()
+    for x0, x1 in zip(across[x][:-1], across[x][1:], strict=True):
+        middle = 0.5 * (x0 + x1)
+        for (y0, y1), pillar in (((0.0, 3.0), 2.0), ((5.0, 8.0), 6.0)):
+            bay = _rectangle((x0, y0), (x1, y1))
+            foot = [
+                (middle + 0.45 * math.cos(k * math.pi / 4), pillar + 0.45 * math.sin(k * math.pi / 4)) for k in range(8)
+            ]
+            _slab_around(builder, "floor", bay, foot, 0.0, +1, stone)
+            _slab_around(builder, "ceiling", bay, foot, height, -1, plaster)
+            for (u0, v0), (u1, v1) in zip(foot, [*foot[1:], foot[0]], strict=True):
+                sides = [(u0, v0, 0.0), (u1, v1, 0.0), (u1, v1, height), (u0, v0, height)]
+                builder.polygon("pillars", sides, sandstone)
+        nave = _rectangle((x0, 3.0), (x1, 5.0))
+        builder.polygon("floor", [(u, v, 0.0) for u, v in nave], stone)
+        if middle in lamps:
+            name, emission = lamps[middle]
+            light = _rectangle((middle - 0.5, 3.5), (middle + 0.5, 4.5))
+            builder.polygon(name, [(u, v, height) for u, v in light[::-1]], lamp, emission)
+            for k in range(4):
+                rim = [nave[k - 1], light[k - 1], light[k], nave[k]]
+                builder.polygon("ceiling", [(u, v, height) for u, v in rim], plaster)
+        else:
+            builder.polygon("ceiling", [(u, v, height) for u, v in nave[::-1]], plaster)
+    for axis, name, colour in ((x, "end walls", brick), (y, "walls", plaster)):
+        builder.wall(name, axis, +1, 0.0, across, colour)
+        builder.wall(name, axis, -1, across[axis][-1], across, colour)
+    return builder.scene(max_edge)
+
+
+def _rectangle(low: tuple[float, float], high: tuple[float, float]) -> list[tuple[float, float]]:
+    """Return the corners, counter-clockwise, from the lowest."""
+    return [low, (high[0], low[1]), high, (low[0], high[1])]
+
+
+def _slab_around(
+    builder: _Builder,
+    name: str,
+    outer: Sequence[tuple[float, float]],
+    foot: Sequence[tuple[float, float]],
+    z: float,
+    facing: int,
+    reflectance: _Point,
+) -> None:
+    """Add a rectangle at height z with an octagonal hole, its front towards facing * z.
+
+    Both run counter-clockwise seen from above, the octagon from +x and the rectangle from its lowest corner: corner k
+    of the rectangle lies out beyond corner 2k + 5 of the octagon.
+    """
+    for k in range(4):
+        this, following = outer[k], outer[(k + 1) % 4]
+        near, middle, far = (foot[(2 * k + turn) % 8] for turn in (5, 6, 7))
+        for corners in ((this, middle, near), (this, following, middle), (following, far, middle)):
+            builder.polygon(name, [(u, v, z) for u, v in corners][::facing], reflectance)

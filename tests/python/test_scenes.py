@@ -214,13 +214,74 @@ def test_two_rooms_are_closed_around_a_doorway(max_edge: float | None) -> None:
     assert volume == pytest.approx(2 * 4 * 4 * 3 + 0.2 * door, rel=ROUNDING)
 
 
+# ----------------------------------------------------------------------------------------------------------- colonnade
+
+# Of an octagon with corners 0.45 m from its middle.
+OCTAGON_AREA, OCTAGON_EDGE = 2 * math.sqrt(2) * 0.45**2, 2 * 0.45 * math.sin(math.pi / 8)
+
+
+@pytest.mark.parametrize("max_edge", [None, 3.0, 0.8])
+def test_colonnade_is_closed_around_its_pillars(max_edge: float | None) -> None:
+    scene = rad.scenes.colonnade(max_edge)
+    report = scene.report()
+    assert report.closed
+    assert not report.faces_outwards
+    assert report.nonmanifold_edges == len(report.degenerate_patches) == 0
+    np.testing.assert_array_equal(scene.vertices.min(axis=0), [0, 0, 0])
+    np.testing.assert_array_equal(scene.vertices.max(axis=0), [12, 8, 4])
+    floor = 12 * 8 - 6 * OCTAGON_AREA
+    assert area(scene, "floor") == pytest.approx(floor, rel=ROUNDING)
+    assert area(scene, "ceiling") == pytest.approx(floor - 2, rel=ROUNDING)
+    assert area(scene, "warm lamp") == area(scene, "cool lamp") == pytest.approx(1, rel=ROUNDING)
+    assert area(scene, "pillars") == pytest.approx(6 * 8 * OCTAGON_EDGE * 4, rel=ROUNDING)
+    assert area(scene, "walls") == pytest.approx(2 * 12 * 4, rel=ROUNDING)
+    assert area(scene, "end walls") == pytest.approx(2 * 8 * 4, rel=ROUNDING)
+    # The volume enclosed, by the divergence theorem: the hall without its pillars.
+    volume = -np.einsum("i,ij,ij->", scene.areas, scene.centroids, scene.normals) / 3
+    assert volume == pytest.approx(4 * floor, rel=ROUNDING)
+
+
+def test_colonnade_sizes_and_lamps() -> None:
+    # As the docstring says.
+    assert rad.scenes.colonnade().n_patches == 292
+    scene = rad.scenes.colonnade(max_edge=3.0)
+    assert scene.n_patches == 588
+    names = np.array(scene.names)
+    for name, middle, emission in (("warm lamp", 2, (120, 90, 60)), ("cool lamp", 10, (60, 90, 120))):
+        mine = names == name
+        np.testing.assert_array_equal(np.unique(scene.emission[mine], axis=0), [emission])
+        np.testing.assert_allclose(scene.areas[mine] @ scene.centroids[mine], [middle, 4, 4], rtol=ROUNDING)
+        np.testing.assert_array_equal(np.unique(scene.normals[mine], axis=0), [[0, 0, -1]])
+    assert not scene.emission[~np.char.endswith(names, "lamp")].any()
+
+
+def test_pillars_of_the_colonnade_block_light() -> None:
+    scene = rad.scenes.colonnade()
+    # Along the aisle through the pillars, and between the rows.
+    assert scene.occluded([[0.5, 2, 1], [0.5, 4, 1]], [[11.5, 2, 1], [11.5, 4, 1]]).tolist() == [True, False]
+    # Each of the six pillars, from the middle of the hall's height beside it towards its axis.
+    axes = np.array([(x, y, 2.0) for x in (2, 6, 10) for y in (2, 6)])
+    hits = scene.intersect(axes + np.array([1.0, 0.0, 0.0]), [[-1.0, 0.0, 0.0]] * 6)
+    assert [scene.names[patch] for patch in hits.patch] == ["pillars"] * 6
+    np.testing.assert_allclose(hits.distance, 0.55, rtol=1e-6)  # at a corner: rays are cast in 32 bits
+
+
 @pytest.mark.parametrize(
-    "build", [rad.scenes.cornell_box, rad.scenes.furnace, rad.scenes.parallel_plates, rad.scenes.two_rooms]
+    "build",
+    [
+        rad.scenes.colonnade,
+        rad.scenes.cornell_box,
+        rad.scenes.furnace,
+        rad.scenes.parallel_plates,
+        rad.scenes.two_rooms,
+    ],
 )
 def test_max_edge_refines_and_keeps_names(build: Callable[..., rad.Scene]) -> None:
-    coarse, fine = build(), build(max_edge=0.25)
+    coarse = build()
+    max_edge = 0.4 * coarse.report().longest_edge
+    fine = build(max_edge=max_edge)
     assert fine.n_patches > coarse.n_patches
-    assert fine.report().longest_edge <= 0.25
+    assert fine.report().longest_edge <= max_edge
     assert set(fine.names or ()) == set(coarse.names or ())
     assert fine.areas.sum() == pytest.approx(coarse.areas.sum(), rel=ROUNDING)
     with pytest.raises(ValueError, match="max_edge"):

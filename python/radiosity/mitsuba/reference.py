@@ -78,20 +78,20 @@ def reference_radiosity(
             `max_bounces`; or a patch that rays cannot reach because another one lies on it.
 
     """
-    per_patch = _paths_per_patch(paths, scene.n_patches)
+    per_patch = paths_per_patch(paths, scene.n_patches)
     seed = seed_number(seed)
-    corners = _centred_and_scaled(scene.vertices[scene.faces])
+    corners = centred_and_scaled(scene.vertices[scene.faces])
     radiosity = scene.emission.astype(np.float64)
     standard_error = np.zeros_like(radiosity)
     with mitsuba_for_a_while() as mi:
         for first in range(0, scene.bands, 3):
             bands = slice(first, first + 3)
-            rho, emission = _three(scene.reflectance[:, bands]), _three(scene.emission[:, bands])
+            rho, emission = three_bands(scene.reflectance[:, bands]), three_bands(scene.emission[:, bands])
             # In units of the largest, for 32 bits end at 1e38.
             unit = emission.max()
             if unit == 0.0:
                 continue
-            integrator = _path_integrator(mi, float(rho.max()), _bounces(float(rho.max()), max_bounces))
+            integrator = _path_integrator(mi, float(rho.max()), last_bounce(float(rho.max()), max_bounces))
             reflected, error = _reflected(mi, integrator, corners, rho, emission / unit, per_patch, seed)
             width = radiosity[:, bands].shape[1]
             radiosity[:, bands] += unit * reflected[:, :width]
@@ -99,7 +99,8 @@ def reference_radiosity(
     return radiosity, standard_error
 
 
-def _paths_per_patch(paths: int, patches: int) -> int:
+def paths_per_patch(paths: int, patches: int) -> int:
+    """Return how many of the paths each patch gets, two or more."""
     paths = _integer("paths", paths)
     if paths < 2 * patches:
         raise ValueError(
@@ -116,18 +117,18 @@ def _integer(name: str, value: Any) -> int:
         raise TypeError(f"{name} must be an integer, not {type(value).__name__}") from None
 
 
-def _three(values: FloatArray) -> FloatArray:
+def three_bands(values: FloatArray) -> FloatArray:
     """Fill up (n, 1..3) with black bands to (n, 3)."""
     return np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
 
 
-def _centred_and_scaled(corners: FloatArray) -> FloatArray:
+def centred_and_scaled(corners: FloatArray) -> FloatArray:
     """Return triangles (n, 3, 3) in a box about the origin whose longest side is 2 `TRACED_HALF_SIZE`; twins apart."""
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     return apart((corners - (low + high) / 2.0) * (2.0 * TRACED_HALF_SIZE / (high - low).max()))
 
 
-def _bounces(largest_reflectance: float, wanted: int | None) -> int | None:
+def last_bounce(largest_reflectance: float, wanted: int | None) -> int | None:
     """Return after how many bounces paths are cut, or None where roulette ends them.
 
     What k bounces leave out is (diag(rho) F)^(k+1) B <= rho^(k+1) max B.
