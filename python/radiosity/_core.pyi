@@ -4,7 +4,18 @@ from typing import Any, TypedDict, final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FormFactors", "Scene", "ambient", "assess", "forecast_scene", "form_factor", "pair_form_factors", "render", "solve", "solve_scene"]
+__all__ = [
+    "FormFactors",
+    "Scene",
+    "ambient",
+    "assess",
+    "forecast_scene",
+    "form_factor",
+    "pair_form_factors",
+    "render",
+    "solve",
+    "solve_scene",
+]
 
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]

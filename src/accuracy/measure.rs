@@ -12,7 +12,7 @@ use crate::scene::Scene;
 use crate::solve::{Audit, Observer, System, propagated};
 
 /// Of what follows residuals through all bounces, relative: those are some per cent of the answer.
-const RESIDUAL: f64 = 1e-2;
+const RESIDUAL: f64 = 3e-2;
 /// Numbers in the columns that are followed together.
 const TOGETHER: usize = 1 << 18;
 

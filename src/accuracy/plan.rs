@@ -95,7 +95,7 @@ pub(super) fn cheapest(errors: &Errors, costs: &[f64; KINDS], goal: f64, refine:
         plans.into_iter().flatten().min_by(|p, q| p.extra_cost(costs).total_cmp(&q.extra_cost(costs)))
     };
     // Patches are cut only for an error that is surely there.
-    let unsure = known < 2.0 * doubt;
+    let unsure = known < 4.0 * doubt;
     cheaper([plain, corrected])
         .or_else(|| unsure.then_some(Plan { factors: [1.0, 1.0, MOST_GROWTH.sqrt()], corrected: false }))
 }

@@ -10,7 +10,7 @@ def test_demo_prints_the_table_and_writes_the_picture(tmp_path, capsys):
     Image = pytest.importorskip("PIL.Image")
     assert main(["demo", "--output", str(tmp_path), "--tolerance", "0.1", "--no-mitsuba"]) == 0
     table = capsys.readouterr().out
-    for row in ("patches", "1004", "form factors", "row error", "energy imbalance", "error against Mitsuba"):
+    for row in ("patches", "1004", "rays", "error, estimated", "energy imbalance", "error against Mitsuba"):
         assert row in table
     with Image.open(tmp_path / "cornell_box.png") as picture:
         assert picture.size == (512, 512)
