@@ -138,8 +138,8 @@ impl Dense {
         Ok(Dense { areas: scene.areas().to_vec(), exchange, uncertain, kernel_error, error_estimate, segments })
     }
 
-    /// Estimate of the largest row error max_i sum_j |dF_ij|: the kernels' bound plus the estimated
-    /// errors of what is visible of each pair.
+    /// Estimate of the largest row error max_i sum_j |dF_ij|: the kernels' bound plus the error
+    /// that is estimated of every visible fraction.
     pub fn error_estimate(&self) -> f64 {
         self.error_estimate
     }

@@ -96,9 +96,10 @@ fn unmet(segments: u32) -> f64 {
     1.0 / f64::from(segments + 2)
 }
 
-/// Segments that all agree leave what none of them met: a thin bar is missed by few segments. Where they do not agree, four replicates know their spread only to
-/// 40 %, and pairs whose spread looks small by chance would get no more segments: so half of the variance is what m
-/// segments leave in a cluttered shaft, measured as half the variance of random ones, V (1 - V) / 2 m.
+/// Segments that all agree leave what none of them met: a thin bar is missed by few segments. Where they do not agree, four
+/// replicates know their spread only to 40 %, and pairs whose spread looks small by chance would get no more segments: so
+/// half of the variance is what m segments leave in a cluttered shaft, measured as half the variance of random ones,
+/// V (1 - V) / 2 m.
 fn error_to_count_with(v: &VisibleFraction, segments: u32) -> f64 {
     if v.value == 0.0 || v.value == 1.0 {
         return unmet(segments);
