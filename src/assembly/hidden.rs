@@ -70,12 +70,13 @@ pub(super) fn sample(
                 (c.visible, c.error, c.spent) = (fraction, error, error > c.wanted);
             } else {
                 // Shadows that gave up tell nothing of what segments would leave.
-                let (known, error) = if c.segments == 0 { (PILOT, unmet(PILOT)) } else { (c.segments, c.error) };
+                let (known, error) =
+                    if c.segments == 0 { (PILOT, unmet(f64::from(PILOT))) } else { (c.segments, c.error) };
                 let needed = f64::from(known) * (error / c.wanted).powf(1.0 / RATE);
                 let segments = needed.clamp(f64::from(PILOT), f64::from(MOST_SEGMENTS)).ceil() as u32;
                 let end = |k: u32, p: &Patch| End { patch: k, triangle: p.corners, normal: p.normal };
                 let v = visible_fraction(&blockers.tree, &end(c.i, a), &end(c.j, b), segments, seed);
-                let error = error_to_count_with(&v, segments);
+                let error = error_to_count_with(&v);
                 // Shadows may have known better before they gave up.
                 if c.segments > 0 || error <= c.error {
                     (c.visible, c.error) = (v.value, error);
@@ -92,19 +93,19 @@ pub(super) fn sample(
 }
 
 /// What is to be expected of the part that none of m segments met, 1 / (m + 2) (Laplace's rule of succession).
-fn unmet(segments: u32) -> f64 {
-    1.0 / f64::from(segments + 2)
+fn unmet(m: f64) -> f64 {
+    1.0 / (m + 2.0)
 }
 
 /// Segments that all agree leave what none of them met: a thin bar is missed by few segments. Where they do not agree, four
 /// replicates know their spread only to 40 %, and pairs whose spread looks small by chance would get no more segments: so
 /// half of the variance is what m segments leave in a cluttered shaft, measured as half the variance of random ones,
 /// V (1 - V) / 2 m.
-fn error_to_count_with(v: &VisibleFraction, segments: u32) -> f64 {
+fn error_to_count_with(v: &VisibleFraction) -> f64 {
     if v.value == 0.0 || v.value == 1.0 {
-        return unmet(segments);
+        return unmet(v.effective);
     }
-    let usual = 0.5 * v.value * (1.0 - v.value) / f64::from(segments);
+    let usual = 0.5 * v.value * (1.0 - v.value) / v.effective.max(1.0);
     (0.5 * (v.standard_error * v.standard_error + usual)).sqrt()
 }
 

@@ -24,8 +24,11 @@ pub struct VisibleFraction {
     pub value: f64,
     /// Its standard error, from the spread of the replicates. 0 when all segments agree: a pair of which a fraction v is
     /// hidden goes unnoticed by m segments with probability (1 - v)^m, which the spread cannot show: whoever
-    /// needs a bound must add 1 / (m + 2), the share to be expected of what none of m segments met.
+    /// needs a bound must add 1 / (m + 2) with the effective m, the share to be expected of what none of m segments met.
     pub standard_error: f64,
+    /// As many segments of equal weight would tell as much: (sum w)^2 / sum w^2 (Kish 1965). Where patches touch, few segments
+    /// next to the common edge carry most of the weight.
+    pub effective: f64,
 }
 
 /// A patch as this estimate needs it.
@@ -44,6 +47,7 @@ pub fn visible_fraction(blockers: &Bvh, a: &End, b: &End, segments: u32, seed: u
     let exclude = [a.patch, b.patch];
     let each = segments.div_ceil(REPLICATES);
     let mut replicates = [(0.0, 0.0); REPLICATES as usize];
+    let (mut first_weight, mut all_squares) = (0.0, 0.0);
     let (mut weights, mut bundle) = (Vec::with_capacity(BUNDLE), Vec::with_capacity(BUNDLE));
     let first = hash(seed ^ hash(u64::from(a.patch) << 32 | u64::from(b.patch)));
     let sobol: [Sobol; REPLICATES as usize] = std::array::from_fn(|r| Sobol::new(first.wrapping_add(r as u64)));
@@ -54,6 +58,10 @@ pub fn visible_fraction(blockers: &Bvh, a: &End, b: &End, segments: u32, seed: u
         let end = point_in_triangle(&b.triangle, s, t);
         let weight = kernel(start, a.normal, end, b.normal);
         if weight > 0.0 {
+            // In units of the first, squares neither overflow nor vanish.
+            first_weight = if first_weight > 0.0 { first_weight } else { weight };
+            let weight = weight / first_weight;
+            all_squares += weight * weight;
             weights.push((r, weight));
             bundle.push(Segment { start, end, exclude });
         }
@@ -73,10 +81,14 @@ pub fn visible_fraction(blockers: &Bvh, a: &End, b: &End, segments: u32, seed: u
     let (seen, all) = replicates.iter().fold((0.0, 0.0), |(s, a), (seen, all)| (s + seen, a + all));
     if all == 0.0 {
         // No sampled point of one patch lies before the other: nothing was learnt, and the exchange is next to nothing.
-        return VisibleFraction { value: 0.5, standard_error: 0.5 };
+        return VisibleFraction { value: 0.5, standard_error: 0.5, effective: 0.0 };
     }
     let value = seen / all;
     let n = f64::from(REPLICATES);
     let squares: f64 = replicates.iter().map(|(seen, all)| (seen - value * all) * (seen - value * all)).sum();
-    VisibleFraction { value, standard_error: (n / (n - 1.0) * squares).sqrt() / all }
+    VisibleFraction {
+        value,
+        standard_error: (n / (n - 1.0) * squares).sqrt() / all,
+        effective: all * all / all_squares,
+    }
 }

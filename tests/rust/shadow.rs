@@ -89,7 +89,9 @@ fn shadows_leave_what_segments_reach() {
                 let v = seen.fraction;
                 // Random segments would have this standard error, quasi-random ones have less; of some thousand pairs none
                 // is five of them off. What hides in a corner may be missed by all.
-                let slack = 5.0 * (v * (1.0 - v) / f64::from(SEGMENTS)).sqrt() + 5.0 / f64::from(SEGMENTS) + seen.error;
+                // As many as count: some weigh much more than others.
+                let m = sampled.effective;
+                let slack = 5.0 * (v * (1.0 - v) / m).sqrt() + 5.0 / m + seen.error;
                 let slack = slack + 5.0 * sampled.standard_error;
                 assert!((sampled.value - v).abs() <= slack, "{name}: {i} and {j}: {} sampled, {v}", sampled.value);
                 if v > 0.0 && v < 1.0 {
