@@ -218,7 +218,7 @@ impl FormFactors for Rays {
         for (k, out) in out.chunks_exact_mut(amount.len()).enumerate() {
             self.for_each_entry(k, |j, f| {
                 if j == i {
-                    add_scaled(f, amount, out)
+                    add_scaled(f, amount, out);
                 }
             });
         }

@@ -4,12 +4,15 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that panics has failed")]
 
+mod accuracy;
 mod assembly;
 mod bodies;
 mod common;
+mod direct;
 mod form_factor;
 mod form_factor_estimators;
 mod geometry;
+mod rays;
 mod render;
 mod scene;
 mod shadow;
