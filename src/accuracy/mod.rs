@@ -32,7 +32,7 @@
 //! - [`measure`]: solutions by scramble, and what their spread tells
 //! - [`plan`]: how many rays of which kind
 //! - [`solver`]: the rounds
-//! - [`assess`]: the true error of a solution that came from elsewhere
+//! - [`mod@assess`]: the true error of a solution that came from elsewhere
 
 pub mod assess;
 mod measure;

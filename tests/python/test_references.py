@@ -1,4 +1,6 @@
-"""Our solution against stored scenes: closed forms for the furnaces, converged path tracing for the rest."""
+"""The contract of `solve`, true error and estimate against stored references: closed forms for the furnaces, converged
+path tracing for the rest. And what constant patches cost the dense form factors.
+"""
 
 import numpy as np
 import pytest
@@ -7,8 +9,68 @@ import radiosity as rad
 import radiosity.references
 import references
 
-# The error of constant radiosity a patch, measured at a tolerance of 0.5 % (the table in README.md), and a quarter more
-# for another draw of the sampling: what a change may not make worse. The furnaces have no discretisation error:
+# --- The contract: ask for 1 %, get 1 % -------------------------------------------------------------------------------
+
+# Seeds for each tolerance: fewer where a run takes seconds, so that this file stays below a minute or so.
+SEEDS = {0.1: 5, 0.03: 5, 0.01: 2}
+# 0.3 % is asked for where the reference's own noise is at most half of that and a run takes a few seconds.
+FINEST = 0.003
+FINE = ["cornell_298", "crater_290", "furnace_cube_300", "furnace_ico_320", "sphere_plane_298"]
+RUNS = [(name, tolerance) for tolerance in SEEDS for name in references.NAMES] + [(name, FINEST) for name in FINE]
+
+
+def error_of_the_worst_band(reference, solution):
+    """The error that `solve` promises, and the noise of the reference in the same band."""
+    scene = reference.scene
+    bands = []
+    for b in range(scene.bands):
+        band = scene.with_materials(scene.reflectance[:, [b]], scene.emission[:, [b]])
+        columns = (solution.radiosity, reference.radiosity, reference.standard_error)
+        bands.append(references.relative_error(band, *(values[:, [b]] for values in columns)))
+    return max(bands)
+
+
+@pytest.mark.parametrize(("name", "tolerance"), RUNS)
+def test_the_true_error_is_within_the_tolerance_and_the_estimate_tells_it(name, tolerance):
+    reference = references.load(name)
+    for seed in range(SEEDS.get(tolerance, 1)):
+        # A tolerance that is not met would be a warning, and every warning is an error here.
+        solution = rad.solve(reference.scene, tolerance, seed=seed)
+        error, noise = error_of_the_worst_band(reference, solution)
+        # The solver stops at an estimate of 0.85 tolerances. Squared, its sampling part is the variance of 8 scrambles
+        # (7 degrees of freedom) summed over hundreds of patches, which are nearly independent: known to some per cent.
+        # What the patches share, the source term and discretisation, is known less well, to 10 or 15 %: the other 0.15.
+        assert error <= tolerance, (seed, error, solution.report)
+        assert solution.error_estimate <= tolerance
+        # Below twice the noise of the reference the true error is not measurable: taking the noise off in quadrature
+        # leaves a difference of like numbers. Above, it is known to a sixth or better, and the rest of the factor
+        # of two is for the few degrees of freedom in what all patches share: 8 scrambles of one and the same error
+        # tell its square to sqrt(2 / 7) = 53 %, and three of these standard deviations are a factor of 1.6 in the error.
+        if error > 2 * noise and error > ROUNDING:
+            assert 0.5 <= solution.error_estimate / error <= 2, (seed, error, solution.report)
+
+
+# Furnaces are exact for any rays: their error is rounding, a few hundred sums of numbers near 1, and has no estimate.
+ROUNDING = 1e-9
+
+
+@pytest.mark.parametrize("name", [name for name in references.NAMES if name.startswith("furnace")])
+def test_furnaces_are_exact(name):
+    reference = references.load(name)
+    solution = rad.solve(reference.scene, 0.1)
+    # The bounces are followed to a residual, not to the end, and yet a constant is reproduced to rounding.
+    assert np.allclose(solution.radiosity, reference.radiosity, rtol=ROUNDING, atol=0)
+
+
+def test_the_finest_tolerance_is_asked_for_only_where_it_can_be_checked():
+    for name in FINE:
+        assert references.load(name).noise <= 0.5 * FINEST
+
+
+# --- Constant radiosity on every patch --------------------------------------------------------------------------------
+
+# The error of constant radiosity a patch, measured with fine form factors, and a quarter more for
+# another draw of the sampling: what a change may not make worse. The furnaces have no discretisation error:
 # theirs is the tolerance.
 DISCRETISATION = {
     "cornell_1004": 0.0152,
@@ -23,10 +85,16 @@ DISCRETISATION = {
 }
 
 
+def on_patches(scene):
+    """The solution with one radiosity a patch: rows good to 0.1 %, an error far below that of the patches."""
+    F = rad.form_factors(scene, tolerance=0.001)
+    return rad.solve_system(F, scene.emission, scene.reflectance, method="gmres", tolerance=1e-10)
+
+
 @pytest.mark.parametrize("name", references.NAMES)
-def test_error_against_the_reference(name):
+def test_error_of_constant_patches_against_the_reference(name):
     reference = references.load(name)
-    solution = rad.solve(reference.scene, tolerance=0.005)
+    solution = on_patches(reference.scene)
     error, _ = references.relative_error(
         reference.scene, solution.radiosity, reference.radiosity, reference.standard_error
     )
@@ -42,7 +110,7 @@ def test_more_patches_less_error():
     coarse, fine = (references.load(name) for name in ("cornell_298", "cornell_1004"))
     errors = []
     for reference in (coarse, fine):
-        solution = rad.solve(reference.scene, tolerance=0.005)
+        solution = on_patches(reference.scene)
         errors.append(
             references.relative_error(
                 reference.scene, solution.radiosity, reference.radiosity, reference.standard_error
@@ -76,7 +144,7 @@ def test_shipped_references_hold_what_they_promise(name):
     assert (reference.radiosity >= (1 - 2**-23) * scene.emission).all()
     assert reference.noise <= noise
     if discretisation is not None:
-        solution = rad.solve(scene, tolerance=0.005, method="dense")
+        solution = on_patches(scene)
         error, _ = references.relative_error(scene, solution.radiosity, reference.radiosity, reference.standard_error)
         assert error <= discretisation
 
@@ -91,7 +159,7 @@ def test_the_fine_box_is_the_coarse_one():
         return np.array([scene.areas[mine] @ radiosity[mine] / scene.areas[mine].sum() for mine in rows])
 
     fine = radiosity.references.load("cornell_fine")
-    solution = rad.solve(rad.scenes.cornell_box(max_edge=0.1), tolerance=0.01, method="dense")
+    solution = on_patches(rad.scenes.cornell_box(max_edge=0.1))
     ours, theirs = means(solution.scene, solution.radiosity), means(fine.scene, fine.radiosity)
     assert references.relative_error(coarsest, ours, theirs)[0] <= 0.0119
 

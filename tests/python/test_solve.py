@@ -174,18 +174,36 @@ def test_no_emission_is_darkness(room):
 def test_solve_decides_and_says_what_it_decided():
     scene = rad.scenes.cornell_box(max_edge=0.3)
     solution = rad.solve(scene, tolerance=0.02)
+    report = solution.report
     assert solution.error_estimate <= 0.02
-    assert solution.report.row_error > 0
+    assert solution.error_estimate == pytest.approx(np.hypot(report.sampling_error, report.discretisation_error))
+    assert report.method == "rays"
+    assert report.row_error is None
+    assert report.rays > 0
+    assert report.segments > 0
+    assert report.elements >= scene.n_patches == report.patches
     assert solution.standard_error.shape == solution.radiosity.shape
-    text = str(solution.report)
-    assert "gmres" in text
-    assert "segments" in text
-    # Against a much better one on the same patches: three times the estimate is three standard deviations.
-    better = rad.solve(scene, tolerance=0.002, seed=1)
+    assert (solution.standard_error > 0).any()
+    assert solution.scene is scene
+    text = str(report)
+    for word in ("method rays", f"{report.rays} cast", "from sampling", "from discretisation"):
+        assert word in text
+    # Against a much better one: three times the estimate is three standard deviations.
+    better = rad.solve(scene, tolerance=0.004, seed=1)
     area = scene.areas[:, None]
     difference = np.sqrt((area * (solution.radiosity - better.radiosity) ** 2).sum(axis=0))
     difference /= np.sqrt((area * (better.radiosity - scene.emission) ** 2).sum(axis=0))
     assert 0 < difference.max() <= 3 * solution.error_estimate
+
+
+def test_dense_says_how_good_its_form_factors_are():
+    with pytest.warns(UserWarning, match="above the tolerance 0.01: .* from discretisation"):
+        solution = rad.solve(rad.scenes.cornell_box(max_edge=0.3), tolerance=0.01, method="dense")
+    report = solution.report
+    assert report.row_error > 0
+    assert report.sampling_error <= 0.01 < report.discretisation_error
+    for word in ("gmres", "segments", "row error"):
+        assert word in str(report)
 
 
 def test_a_scene_without_emission_is_dark_and_says_so():
