@@ -44,8 +44,8 @@ def test_the_true_error_is_within_the_tolerance_and_the_estimate_tells_it(name, 
         assert solution.error_estimate <= tolerance
         # Below twice the noise of the reference the true error is not measurable: taking the noise off in quadrature
         # leaves a difference of like numbers. Above, it is known to a sixth or better, and the rest of the factor
-        # of two is for the few degrees of freedom in what all patches share: 8 scrambles of one and the same error
-        # tell its square to sqrt(2 / 7) = 53 %, and three of these standard deviations are a factor of 1.6 in the error.
+        # of two is for the few degrees of freedom in what all patches share: 8 scrambles of one and the same error tell
+        # its square to sqrt(2 / 7) = 53 %, and three of these standard deviations are a factor of 1.6 in the error.
         if error > 2 * noise and error > ROUNDING:
             assert 0.5 <= solution.error_estimate / error <= 2, (seed, error, solution.report)
 
