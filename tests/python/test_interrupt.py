@@ -38,6 +38,7 @@ def test_progress_must_be_one_of_its_kinds():
 
 
 LONG_WORK = {
+    "rays": "rad.solve(rad.scenes.cornell_box(max_edge=0.02), tolerance=0.001)",
     "form factors": "rad.form_factors(rad.scenes.cornell_box(max_edge=0.02), tolerance=1e-4)",
     # The library's factorisation cannot be told to stop: the caller must not wait for it.
     "direct": "rad.solve_system(np.full((6000, 6000), 1 / 6000), 1.0, 0.9, method='direct')",
