@@ -124,28 +124,27 @@ impl<'a> Measure<'a> {
         !self.diverges
     }
 
-    /// Direct irradiance of the patches of the whole by scramble `s` alone, or by all.
-    fn direct(&self, direct: &Direct, s: Option<usize>) -> Vec<f64> {
+    /// Direct irradiance of the patches of the whole, by scramble.
+    fn direct(&self, direct: &Direct) -> Vec<Vec<f64>> {
         let bands = self.bands();
-        let mut out = vec![0.0; self.start.len()];
-        out.par_chunks_mut(bands).enumerate().for_each(|(i, out)| match s {
-            Some(s) => direct.irradiance_of_scramble(i, s, out),
-            None => direct.irradiance(i, out),
-        });
-        self.mesh.averaged(out, bands)
+        let of_scramble = |s: usize| {
+            let mut out = vec![0.0; self.start.len()];
+            let rows = out.par_chunks_mut(bands).enumerate();
+            rows.for_each(|(i, out)| direct.irradiance_of_scramble(i, s, out));
+            self.mesh.averaged(out, bands)
+        };
+        (0..SCRAMBLES).map(of_scramble).collect()
     }
 
     /// The squared errors of the band with the largest.
     pub(super) fn errors(&self, direct: &Direct) -> Errors {
         let (whole, bands) = (self.mesh.whole, self.bands());
         let weights = weights(whole);
-        let mean = self.irradiance(direct, false).0;
+        let direct = self.direct(direct);
+        let mean = self.mean_and_error(&direct, false).0;
         let average = |x: &Vec<f64>| self.mesh.averaged(x.clone(), bands);
-        let kinds: [Vec<Vec<f64>>; 3] = [
-            (0..SCRAMBLES).map(|s| self.direct(direct, Some(s))).collect(),
-            self.base.iter().map(average).collect(),
-            self.probe.iter().map(average).collect(),
-        ];
+        let kinds: [Vec<Vec<f64>>; 3] =
+            [direct, self.base.iter().map(average).collect(), self.probe.iter().map(average).collect()];
         let product = |b: usize, x: &[f64], y: &[f64]| inner_product(whole, &weights, b, x, y);
         let of_band = |b: usize| {
             let light = product(b, &mean, &mean);
@@ -177,6 +176,10 @@ impl<'a> Measure<'a> {
 
     /// Irradiance of the patches of the whole, and its standard error.
     pub(super) fn irradiance(&self, direct: &Direct, corrected: bool) -> (Vec<f64>, Vec<f64>) {
+        self.mean_and_error(&self.direct(direct), corrected)
+    }
+
+    fn mean_and_error(&self, direct: &[Vec<f64>], corrected: bool) -> (Vec<f64>, Vec<f64>) {
         let bands = self.bands();
         let solution = |s: usize| {
             let mut out = self.start.clone();
@@ -185,7 +188,7 @@ impl<'a> Measure<'a> {
                 out.iter_mut().zip(part).for_each(|(out, x)| *out += x);
             }
             let mut out = self.mesh.averaged(out, bands);
-            out.iter_mut().zip(self.direct(direct, Some(s))).for_each(|(out, x)| *out += x);
+            out.iter_mut().zip(&direct[s]).for_each(|(out, x)| *out += x);
             out
         };
         let solutions: Vec<Vec<f64>> = (0..SCRAMBLES).map(solution).collect();

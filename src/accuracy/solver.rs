@@ -12,7 +12,7 @@ use crate::direct::patches::{Direct, SCRAMBLES};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::Scene;
-use crate::solve::{Audit, Step, System, propagated};
+use crate::solve::{Audit, Step, System, propagated, without_loss};
 use crate::visibility::Bvh;
 
 /// The share of the tolerance that the estimate may use; the rest is for the estimate's own error.
@@ -22,7 +22,7 @@ const ROUNDS: usize = 12;
 const MESHES: usize = 8;
 /// Segments that every scramble first sends from a patch towards the lamps.
 pub(super) const FIRST_SEGMENTS: u32 = 4;
-/// What a segment costs, in rays.
+/// What a segment costs when it is cast with many others, in rays.
 const SEGMENT_COST: f64 = 0.5;
 /// Of the pilot's solve, relative: what it leaves is measured with its other errors.
 const RESIDUAL: f64 = 1e-3;
@@ -319,9 +319,7 @@ fn refuse_lossless(scene: &Scene, operator: &Rays) -> Result<()> {
     let bands = scene.bands();
     for band in 0..bands {
         if operator.is_closed() && scene.reflectance().iter().skip(band).step_by(bands).all(|rho| *rho == 1.0) {
-            return Err(Error::Invalid(format!(
-                "every patch has reflectance 1 in band {band} and no light leaves the scene: there is no finite solution"
-            )));
+            return Err(without_loss(band));
         }
     }
     Ok(())

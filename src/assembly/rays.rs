@@ -120,7 +120,7 @@ impl Rays {
     }
 
     /// Patch after patch, where its rays are to be recorded.
-    pub(crate) fn rows(&mut self) -> impl IndexedParallelIterator<Item = Row<'_>> {
+    pub fn rows(&mut self) -> impl IndexedParallelIterator<Item = Row<'_>> {
         self.trips.par_chunks_mut(self.rays).map(Row)
     }
 
@@ -137,7 +137,7 @@ impl Rays {
     }
 
     /// out = the coefficients of the function on patch i whose value at the start of ray k is `value(k)`, `bands` numbers each.
-    pub(crate) fn project(&self, i: usize, bands: usize, value: impl Fn(usize, &mut [f64]), out: &mut [f64]) {
+    pub fn project(&self, i: usize, bands: usize, value: impl Fn(usize, &mut [f64]), out: &mut [f64]) {
         let trips = &self.trips[i * self.rays..][..self.rays];
         let share = 1.0 / self.rays as f64;
         let mut row = vec![0.0; bands];
@@ -189,11 +189,11 @@ impl Rays {
 }
 
 /// The rays of one patch.
-pub(crate) struct Row<'a>(&'a mut [Trip]);
+pub struct Row<'a>(&'a mut [Trip]);
 
 impl Row<'_> {
     /// Records where ray k started and, unless nobody receives it, where it arrived.
-    pub(crate) fn set(&mut self, k: usize, from: [f64; 2], arrival: Option<(u32, [f64; 2])>) {
+    pub fn set(&mut self, k: usize, from: [f64; 2], arrival: Option<(u32, [f64; 2])>) {
         let (patch, to) = arrival.unwrap_or((NO_PATCH, [0.0; 2]));
         self.0[k] = Trip { patch, from: packed(from), to: packed(to) };
     }

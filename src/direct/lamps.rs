@@ -7,8 +7,8 @@
 //!   sum over j > k of E_j^2 A_j / A  +  R^2,    R = rho / (1 - rho) x (power emitted) / A
 //!
 //! where R is the mean reflected radiosity of a closed scene (Cohen et al. 1988, "ambient"), and a ray costs 1 plus what the
-//! lamps add. The k with the least product is chosen: none in a furnace whose walls all glow, all two triangles of a
-//! ceiling light.
+//! lamps add. The k with the least product is chosen: the one square of a ceiling light, however finely it is meshed; none
+//! where all walls glow and reflect half of what arrives.
 //!
 //! At a point x all form factors F_l are known and one lamp is asked, with probability p_l in proportion to E_l F_l, whether
 //! its point z is hidden. Both
@@ -30,7 +30,7 @@ use crate::visibility::{Bvh, NO_PATCH, Segment, convex_polygons};
 
 /// Never more lamps than this.
 const MOST: usize = 64;
-/// What the segment to a lamp costs, in rays.
+/// What asking a lamp costs, in rays: to choose it and a point of it, and the segment.
 const SEGMENT_COST: f64 = 0.7;
 /// What the form factor of one more lamp costs.
 const LAMP_COST: f64 = 0.15;
@@ -51,7 +51,7 @@ impl Lamps {
     /// Chooses the lamps of a scene.
     ///
     /// # Errors
-    /// None: the parts of a valid scene make valid scenes.
+    /// Those of [`Scene::new`] for the emitting part alone.
     pub fn of_scene(scene: &Scene) -> Result<Lamps> {
         let bands = scene.bands();
         let total: f64 = scene.areas().iter().sum();

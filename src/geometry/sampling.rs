@@ -10,9 +10,9 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 use super::{Triangle, Vec3};
 
 /// Dimensions of the sequence: two points on two triangles take four; a ray and what it does at two places, nine.
-pub const DIMENSIONS: usize = 10;
+pub const DIMENSIONS: usize = 9;
 
-/// Primitive polynomial (degree, coefficients) and initial numbers m_k of dimensions 2 to 10 (Joe & Kuo 2008);
+/// Primitive polynomial (degree, coefficients) and initial numbers m_k of dimensions 2 to 9 (Joe & Kuo 2008);
 /// dimension 1 is van der Corput's.
 const JOE_KUO: [(u32, u32, [u32; 5]); DIMENSIONS - 1] = [
     (1, 0, [1, 0, 0, 0, 0]),
@@ -23,7 +23,6 @@ const JOE_KUO: [(u32, u32, [u32; 5]); DIMENSIONS - 1] = [
     (4, 4, [1, 3, 5, 13, 0]),
     (5, 2, [1, 1, 5, 5, 17]),
     (5, 4, [1, 1, 5, 5, 5]),
-    (5, 7, [1, 1, 7, 11, 19]),
 ];
 
 /// Direction numbers, one 32-bit word per bit of the index.

@@ -214,12 +214,17 @@ fn validate(system: &System, options: &Options) -> Result<()> {
         let slack = 1e-9 + form_factors.kernel_error();
         let lossless = |(i, sum): (usize, &f64)| reflectance[i * bands + band] == 1.0 && *sum > 1.0 - slack;
         if row_sums.iter().enumerate().all(lossless) {
-            return Err(Error::Invalid(format!(
-                "every patch has reflectance 1 in band {band} and no light leaves the scene: there is no finite solution"
-            )));
+            return Err(without_loss(band));
         }
     }
     Ok(())
+}
+
+/// The error of a band in which light never dies.
+pub(crate) fn without_loss(band: usize) -> Error {
+    Error::Invalid(format!(
+        "every patch has reflectance 1 in band {band} and no light leaves the scene: there is no finite solution"
+    ))
 }
 
 /// What every method does after a step: measure, record, tell, decide.

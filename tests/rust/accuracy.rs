@@ -64,7 +64,6 @@ fn the_estimate_is_the_distance_of_seeds() {
 fn units_and_origin_do_not_matter() {
     let reference = solved(&room(3, |v| v), &DEFAULT);
     let scene = room(3, |v| v);
-    // A power of two changes no bit of what is computed in units of the scene; the decisions of rays at edges may differ.
     for (name, map) in [
         ("micrometres", (|v| 1e-6 * v) as fn(Vec3) -> Vec3),
         ("thousands of kilometres", |v| 1e6 * v),
@@ -175,10 +174,13 @@ fn solutions_from_elsewhere_are_assessed() {
 }
 
 #[test]
-fn the_forecast_tells_what_comes() {
+fn the_forecast_asks_for_the_memory_of_the_solve() {
     let scene = room(6, |v| v);
-    let told = forecast(&scene, &Options { tolerance: 0.01, ..DEFAULT }, &Progress::default()).unwrap();
+    let options = Options { tolerance: 0.01, ..DEFAULT };
+    let told = forecast(&scene, &options, &Progress::default()).unwrap();
     assert!(told.seconds > 0.0);
-    // What the goal allows: 2 KB a patch at 1 %, here of one band.
-    assert!(told.bytes > 0 && told.bytes <= 2048 * 4 * scene.len() as u64, "{} bytes", told.bytes);
+    // What is told is enough, and not a byte less is.
+    let within = |memory| solve(&scene, &Options { memory, ..options }, &Progress::default());
+    assert!(within(told.bytes).is_ok());
+    assert!(matches!(within(told.bytes - 1), Err(Error::Memory { needed, .. }) if needed == told.bytes));
 }

@@ -126,8 +126,7 @@ fn sobol_points_are_nets() {
         // points of Joe & Kuo 2008, worked out by a separate program on those of scipy.stats.qmc, and no less.
         let first =
             [([0, 1], 0), ([0, 2], 1), ([0, 3], 1), ([1, 2], 1), ([1, 3], 2), ([2, 3], 1), ([0, 4], 1), ([1, 5], 0)];
-        let rest =
-            [([4, 5], 3), ([2, 6], 2), ([5, 7], 2), ([6, 7], 2), ([3, 8], 4), ([7, 8], 2), ([4, 9], 2), ([8, 9], 2)];
+        let rest = [([4, 5], 3), ([2, 6], 2), ([5, 7], 2), ([6, 7], 2), ([3, 8], 4), ([7, 8], 2)];
         for (dims, t) in first.into_iter().chain(rest) {
             assert!(is_net(&points, dims, t), "seed {seed}: coordinates {dims:?} are no net of t = {t}");
             assert!(t == 0 || !is_net(&points, dims, t - 1), "seed {seed}: {dims:?} are other points than Joe & Kuo's");
@@ -145,7 +144,7 @@ fn sobol_seeds_are_different_and_unbiased_scrambles() {
     let firsts: HashSet<_> = (0..1024).map(|seed| Sobol::new(seed).point(0).map(f64::to_bits)).collect();
     assert_eq!(firsts.len(), 1024);
     // Over the seeds every single point is uniform. Chi-square over 64 cells, 63 degrees of freedom: outside 21 to 135 with
-    // probability 1e-6, and 10 of them are looked at.
+    // probability 1e-6, and 9 of them are looked at.
     for d in 0..DIMENSIONS {
         let mut cells = [0.0; 64];
         let coordinate = |seed| Sobol::new(seed).coordinates::<1>(d, 77)[0];

@@ -3,10 +3,12 @@
 use radiosity::Progress;
 use radiosity::accuracy::{Options, solve};
 use radiosity::assembly::rays::{Field, Sample};
-use radiosity::assembly::{FormFactors, Order};
+use radiosity::assembly::{FormFactors, Order, Rays};
 use radiosity::scene::Sides;
 
-use crate::common::{PLENTY, box_in_box, cube, dense, on_threads};
+use rayon::prelude::*;
+
+use crate::common::{PLENTY, Random, assert_close, box_in_box, cube, dense, on_threads, table};
 
 fn options(tolerance: f64, order: Order) -> Options {
     Options { tolerance, order, refine: true, seed: 0, memory: PLENTY }
@@ -35,6 +37,79 @@ fn fields_are_linear_between_corners() {
     assert_eq!([at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0)], [12.0, 16.0, 20.0]);
     assert_eq!(at(0.25, 0.5), 10.0 + 2.0 * (0.25 * 1.0 + 0.25 * 3.0 + 0.5 * 5.0));
     assert_eq!(field.means(), vec![3.0]);
+}
+
+/// An operator of 16 rays from each of 5 patches, with ends made up at random; one ray in eight is lost.
+fn made_up(order: Order) -> Rays {
+    let random = Random::new(11);
+    let mut rays = Rays::new(order, 16, &[1.0, 2.0, 3.0, 4.0, 5.0]);
+    let place = || {
+        let (v, w) = (random.uniform(), random.uniform());
+        if v + w < 1.0 { [v, w] } else { [1.0 - v, 1.0 - w] }
+    };
+    let ends: Vec<_> = (0..80).map(|k| (place(), (k % 8 > 0).then(|| (random.below(5) as u32, place())))).collect();
+    rays.rows().enumerate().for_each(|(i, mut row)| {
+        (0..16).for_each(|k| row.set(k, ends[16 * i + k].0, ends[16 * i + k].1));
+    });
+    rays
+}
+
+#[test]
+fn gather_row_shoot_and_apply_are_one_matrix() {
+    for order in [Order::Constant, Order::Linear] {
+        let rays = made_up(order);
+        let n = rays.len();
+        assert_eq!(n, 5 * order.coefficients());
+        let random = Random::new(2);
+        let x: Vec<f64> = (0..2 * n).map(|_| random.between(-1.0, 1.0)).collect();
+        let matrix = table(&rays);
+        let mut applied = vec![0.0; 2 * n];
+        rays.apply(&x, 2, &mut applied);
+        for i in 0..n {
+            let mut gathered = [0.0; 2];
+            rays.gather(i, &x, &mut gathered);
+            let mut shot = vec![0.0; 2 * n];
+            rays.shoot(i, &[1.0, -2.0], &mut shot);
+            for b in 0..2 {
+                let product: f64 = (0..n).map(|j| matrix[i * n + j] * x[2 * j + b]).sum();
+                // Sums of 48 numbers of the size of 1 in another order.
+                assert_close(gathered[b], product, 1e-13);
+                assert_close(applied[2 * i + b], product, 1e-13);
+                for j in 0..n {
+                    assert_close(shot[2 * j + b], matrix[j * n + i] * [1.0, -2.0][b], 1e-13);
+                }
+            }
+        }
+        let areas: f64 = rays.areas().unwrap().iter().sum();
+        assert_close(areas, 15.0, 1e-13);
+        assert!(!rays.is_closed());
+    }
+}
+
+#[test]
+fn projections_keep_constants_and_lines() {
+    // Starts at the middles of a fine even grid of triangles, whose moments are those of the whole to 1 / 64^2.
+    const SIDE: usize = 64;
+    let mut grid = Vec::new();
+    for a in 0..SIDE {
+        for b in 0..SIDE - a {
+            grid.push([(a as f64 + 1.0 / 3.0) / SIDE as f64, (b as f64 + 1.0 / 3.0) / SIDE as f64]);
+            if a + b + 1 < SIDE {
+                grid.push([(a as f64 + 2.0 / 3.0) / SIDE as f64, (b as f64 + 2.0 / 3.0) / SIDE as f64]);
+            }
+        }
+    }
+    let mut rays = Rays::new(Order::Linear, grid.len(), &[1.0]);
+    rays.rows().for_each(|mut row| grid.iter().enumerate().for_each(|(k, place)| row.set(k, *place, None)));
+    let mut corners = [0.0; 3];
+    rays.project(0, 1, |_, out| out[0] = 7.0, &mut corners);
+    // Rounding of sums of 4096 numbers.
+    corners.iter().for_each(|c| assert_close(*c, 7.0, 1e-11));
+    // 2 + 3 l_1 - 4 l_2; places are kept in 16 bits, finer than the grid.
+    rays.project(0, 1, |k, out| out[0] = 2.0 + 3.0 * grid[k][0] - 4.0 * grid[k][1], &mut corners);
+    for (c, exact) in corners.iter().zip([2.0, 5.0, -2.0]) {
+        assert_close(*c, exact, 4.0 / 4096.0);
+    }
 }
 
 #[test]
