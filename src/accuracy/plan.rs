@@ -16,6 +16,7 @@ const LEAST: f64 = 0.3;
 
 /// The samples, in this order everywhere: segments to lamps, base rays, probe rays.
 pub(super) const KINDS: usize = 3;
+const BASE: usize = 1;
 const PROBE: usize = 2;
 
 /// What is known of the error, squared, in units of the answer's square.
@@ -73,22 +74,21 @@ impl Plan {
 /// The cheapest way to bring the squared error down to `goal`; `None` when the patches are too coarse for any.
 pub(super) fn cheapest(errors: &Errors, costs: &[f64; KINDS], goal: f64, refine: bool) -> Option<Plan> {
     let (known, doubt) = (errors.discretisation.max(0.0), errors.doubt);
-    let settled = (doubt / (DOUBT * goal)).max(1.0).powf(1.0 / DECAY);
+    // Without correction: the sampling down to `left`, and the doubt to its share of `whole`.
+    let uncorrected = |left: f64, whole: f64| {
+        let mut factors = growth(&errors.variances, costs, left, &[0, BASE]);
+        factors[PROBE] = (doubt / (DOUBT * whole)).max(1.0).powf(1.0 / DECAY);
+        Plan { factors: with_base(factors, costs), corrected: false }
+    };
     let left = goal - known - 0.5 * doubt.min(DOUBT * goal);
-    let plain = (left >= LEAST * goal).then(|| {
-        let mut factors = growth(&errors.variances, costs, left, &[0, 1]);
-        factors[PROBE] = settled;
-        Plan { factors, corrected: false }
-    });
+    let plain = (left >= LEAST * goal).then(|| uncorrected(left, goal));
     if !refine {
         // What the patches cannot show is not to be had: sampling need not be finer than a part of that.
-        let enough = (LEAST * goal).max(0.1 * known);
-        let factors = growth(&errors.variances, costs, enough, &[0, 1]);
-        return Some(plain.unwrap_or(Plan { factors, corrected: false }));
+        return Some(plain.unwrap_or_else(|| uncorrected((LEAST * goal).max(0.1 * known), goal.max(known))));
     }
     let left = goal - LEFT * LEFT * (known + doubt);
     let corrected = (left >= LEAST * goal).then(|| {
-        let factors = growth(&errors.variances, costs, left, &[0, 1, PROBE]);
+        let factors = growth(&errors.variances, costs, left, &[0, BASE, PROBE]);
         Plan { factors, corrected: true }
     });
     let cheaper = |plans: [Option<Plan>; 2]| {
@@ -96,8 +96,18 @@ pub(super) fn cheapest(errors: &Errors, costs: &[f64; KINDS], goal: f64, refine:
     };
     // Patches are cut only for an error that is surely there.
     let unsure = known < 4.0 * doubt;
-    cheaper([plain, corrected])
-        .or_else(|| unsure.then_some(Plan { factors: [1.0, 1.0, MOST_GROWTH.sqrt()], corrected: false }))
+    let more = with_base([1.0, 1.0, MOST_GROWTH.sqrt()], costs);
+    cheaper([plain, corrected]).or_else(|| unsure.then_some(Plan { factors: more, corrected: false }))
+}
+
+/// The base grows with the probe where that would have more rays: the probe holds the residuals that the base has measured, and
+/// their noise is a part of the doubt.
+fn with_base(mut factors: [f64; KINDS], costs: &[f64; KINDS]) -> [f64; KINDS] {
+    // A probe ray is two rays.
+    if factors[PROBE] > 1.0 && costs[BASE] > 0.0 {
+        factors[BASE] = factors[BASE].max(0.5 * costs[PROBE] * factors[PROBE] / costs[BASE]);
+    }
+    factors
 }
 
 /// The factors by which the samples of these kinds must grow to bring the sum of their variances down to `goal`, none below 1.
