@@ -163,8 +163,8 @@ def solve(
             band) against the continuous solution, in (0, 1): sampling and discretisation, the error of a simple
             function on every patch, together. In a band that reflects nothing the irradiance takes the place of B - E.
         method: ``"rays"``, light straight from the lamps by closed forms and all other by quasi-random rays; or
-            ``"dense"``, form factors of all pairs and GMRES, with one radiosity a patch. ``"auto"`` is ``"rays"``:
-            at no size and tolerance that was measured were dense factors cheaper for the same true error.
+            ``"dense"``, form factors of all pairs and GMRES, with one radiosity a patch. ``"auto"`` is ``"rays"``,
+            which reach the same true error sooner (``radiosity bench`` compares them).
         order: of the radiosity on a patch that rays find: 1, linear, or 0, constant.
         refine: whether rays may follow light below the patches, point by point or on smaller patches, where these are
             too coarse for the tolerance. Patch averages are reported in any case. ``"dense"`` never does.
@@ -174,14 +174,14 @@ def solve(
 
     Raises:
         ValueError: an unknown method, a value out of range, or a scene without finite solution.
-        MemoryError: the solution would not fit, with the estimate; nothing has been computed then.
+        MemoryError: the solution would not fit, with the estimate: before any work, or before the patches are cut.
 
     Warns:
         UserWarning: the scene has no emission; or the tolerance was not met, and ``.error_estimate`` says what was.
 
     Sources:
-        Hanrahan, Salzman & Aupperle 1991 (accuracy as an argument); Keller, "Quasi-Monte Carlo radiosity" 1996; the
-        estimates are described in the crate's module ``accuracy``.
+        Keller, "Quasi-Monte Carlo radiosity" 1996; Zatz 1993 (linear radiosity on a patch); Heinrich 2001 (corrections
+        by a finer level). The estimates are described in the crate's module ``accuracy``.
     """
     _check(scene, tolerance, method, order)
     if not scene.emission.any():
@@ -214,7 +214,8 @@ def forecast(
 ) -> Forecast:
     """What :func:`solve` by rays would take, told from its first rounds of sampling.
 
-    The arguments are those of :func:`solve`; the first rounds take a few times 0.1 ms a patch.
+    The arguments are those of :func:`solve`. The bytes are those that it will ask for; the seconds are an extrapolation
+    of few rays, good to an order of magnitude.
 
     Raises:
         ValueError, MemoryError: as :func:`solve`.

@@ -12,7 +12,7 @@ import numpy as np
 import radiosity as rad
 from radiosity.references import Reference, relative_error
 
-__all__ = ["NAMES", "Reference", "load", "relative_error"]
+__all__ = ["NAMES", "Reference", "error_of_the_worst_band", "load", "relative_error"]
 
 FOLDER = Path(__file__).resolve().parents[1] / "data" / "scenes"
 NAMES = sorted(file.stem for file in FOLDER.glob("*.npz"))
@@ -25,3 +25,14 @@ def load(name: str) -> Reference:
         if "exact" in data:
             return Reference(name, scene, data["exact"], np.zeros_like(data["exact"]))
         return Reference(name, scene, data["radiosity"], data["stderr"])
+
+
+def error_of_the_worst_band(reference: Reference, solution: rad.Solution) -> tuple[float, float]:
+    """The error that `solve` promises, and the noise of the reference in the same band."""
+    scene = reference.scene
+    bands = []
+    for b in range(scene.bands):
+        band = scene.with_materials(scene.reflectance[:, [b]], scene.emission[:, [b]])
+        columns = (solution.radiosity, reference.radiosity, reference.standard_error)
+        bands.append(relative_error(band, *(values[:, [b]] for values in columns)))
+    return max(bands)

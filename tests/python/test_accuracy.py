@@ -134,16 +134,6 @@ def test_what_is_emitted_is_absorbed(scene, seed):
 # --- What the solution says of itself ---------------------------------------------------------------------------------
 
 
-def error_of_the_worst_band(reference, solution):
-    scene = reference.scene
-    errors = []
-    for b in range(scene.bands):
-        band = scene.with_materials(scene.reflectance[:, [b]], scene.emission[:, [b]])
-        columns = (solution.radiosity, reference.radiosity, reference.standard_error)
-        errors.append(references.relative_error(band, *(values[:, [b]] for values in columns))[0])
-    return max(errors)
-
-
 @pytest.mark.parametrize("name", ["cornell_298", "two_rooms_276"])
 def test_the_estimate_of_dense_factors_includes_discretisation(name):
     reference = references.load(name)
@@ -151,7 +141,7 @@ def test_the_estimate_of_dense_factors_includes_discretisation(name):
         solution = rad.solve(reference.scene, 0.01, method="dense")
     # The square of the error is estimated with a standard error of 15 % (or as much of the tolerance's square, which is
     # smaller here): 7.5 % of the error, times four.
-    assert solution.error_estimate == pytest.approx(error_of_the_worst_band(reference, solution), rel=0.3)
+    assert solution.error_estimate == pytest.approx(references.error_of_the_worst_band(reference, solution)[0], rel=0.3)
 
 
 def test_without_refinement_a_tolerance_out_of_reach_is_a_warning():
@@ -159,6 +149,18 @@ def test_without_refinement_a_tolerance_out_of_reach_is_a_warning():
     with pytest.warns(UserWarning, match=r"above the tolerance 0.002: .* from sampling, .* from discretisation"):
         solution = rad.solve(references.load("cornell_298").scene, 0.002, refine=False)
     assert solution.error_estimate > 0.002
+
+
+@pytest.mark.filterwarnings("ignore:the error is about")
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("name", "tolerance"), [("cornell_298", 0.003), ("two_rooms_276", 0.01)])
+def test_without_refinement_the_estimate_can_be_believed(name, tolerance, seed):
+    reference = references.load(name)
+    solution = rad.solve(reference.scene, tolerance, refine=False, seed=seed)
+    assert solution.report.elements == reference.scene.n_patches
+    assert not solution.report.corrected
+    # A factor of two, for the reasons of the contract in test_references.py.
+    assert 0.5 <= solution.error_estimate / references.error_of_the_worst_band(reference, solution)[0] <= 2
 
 
 def test_the_standard_error_is_the_spread_over_seeds():

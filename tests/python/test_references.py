@@ -19,24 +19,13 @@ FINE = ["cornell_298", "crater_290", "furnace_cube_300", "furnace_ico_320", "sph
 RUNS = [(name, tolerance) for tolerance in SEEDS for name in references.NAMES] + [(name, FINEST) for name in FINE]
 
 
-def error_of_the_worst_band(reference, solution):
-    """The error that `solve` promises, and the noise of the reference in the same band."""
-    scene = reference.scene
-    bands = []
-    for b in range(scene.bands):
-        band = scene.with_materials(scene.reflectance[:, [b]], scene.emission[:, [b]])
-        columns = (solution.radiosity, reference.radiosity, reference.standard_error)
-        bands.append(references.relative_error(band, *(values[:, [b]] for values in columns)))
-    return max(bands)
-
-
 @pytest.mark.parametrize(("name", "tolerance"), RUNS)
 def test_the_true_error_is_within_the_tolerance_and_the_estimate_tells_it(name, tolerance):
     reference = references.load(name)
     for seed in range(SEEDS.get(tolerance, 1)):
         # A tolerance that is not met would be a warning, and every warning is an error here.
         solution = rad.solve(reference.scene, tolerance, seed=seed)
-        error, noise = error_of_the_worst_band(reference, solution)
+        error, noise = references.error_of_the_worst_band(reference, solution)
         # The solver stops at an estimate of 0.85 tolerances. Squared, its sampling part is the variance of 8 scrambles
         # (7 degrees of freedom) summed over hundreds of patches, which are nearly independent: known to some per cent.
         # What the patches share, the source term and discretisation, is known less well, to 10 or 15 %: the other 0.15.
