@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use super::plan::{DECAY, Errors};
 use super::transport::Tally;
+use crate::assembly::Rays;
 use crate::assembly::rays::Field;
-use crate::assembly::{FormFactors, Rays};
 use crate::direct::patches::{Direct, SCRAMBLES};
 use crate::error::Result;
 use crate::scene::Scene;
@@ -86,9 +86,7 @@ impl<'a> Measure<'a> {
                 self.diverges = true;
                 break;
             };
-            for (residual, light) in residuals.iter_mut().zip(followed) {
-                let mut arriving = vec![0.0; light.len()];
-                operator.apply(&light, bands, &mut arriving);
+            for (residual, arriving) in residuals.iter_mut().zip(followed) {
                 residual.iter_mut().zip(arriving).for_each(|(r, h)| *r += h);
             }
         }

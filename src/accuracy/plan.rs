@@ -3,10 +3,18 @@
 //! With variances V_t that fall as m_t^-p and costs c_t m_t, Lagrange's multiplier gives growth factors f_t with
 //! f_t^(p+1) in proportion to V_t / c_t, and sum over t of V_t f_t^-p = goal fixes their scale.
 
-/// Exponent p of the variance m^-p of a mean over m quasi-random rays: errors fall about as m^-0.6.
-pub(super) const DECAY: f64 = 1.2;
-/// A round grows no sample by more than this: what few rays tell of many is not to be trusted further.
+/// Exponent p of the variance m^-p of a mean over m quasi-random rays: errors fall about as m^-0.7.
+pub(super) const DECAY: f64 = 1.4;
+/// A round grows a sample by no more than this: what few rays tell of many is not to be trusted further.
 const MOST_GROWTH: f64 = 16.0;
+/// And by no less, if at all: a round has its own cost.
+const LEAST_GROWTH: f64 = 1.15;
+/// Growth that is not worth a round: [`DECAY`] is not known so well.
+const MET: f64 = 1.05;
+/// The discretisation error is surely there when its square is so many times the standard error of that.
+const SURE: f64 = 4.0;
+/// By how much the probe grows when nothing but more of it can tell.
+const PROBE_GROWTH: f64 = 2.0;
 /// How much of the discretisation error is left, at most, when light is followed one bounce further.
 const LEFT: f64 = 0.35;
 /// Share of the squared goal that the doubt about the discretisation error may take.
@@ -54,7 +62,7 @@ impl Plan {
 
     /// Whether nothing is to grow.
     pub(super) fn is_met(&self) -> bool {
-        self.factors.iter().all(|factor| *factor <= 1.0)
+        self.factors.iter().all(|factor| *factor <= MET)
     }
 
     /// What the growth costs.
@@ -62,10 +70,22 @@ impl Plan {
         self.factors.iter().zip(costs).map(|(factor, cost)| (factor - 1.0) * cost).sum()
     }
 
+    /// The base grows with the probe where that would have more rays: the probe holds the residuals that the base has measured,
+    /// and their noise is a part of the doubt.
+    fn with_base(mut self, costs: &[f64; KINDS]) -> Plan {
+        // A probe ray is two rays.
+        if self.factors[PROBE] > 1.0 && costs[BASE] > 0.0 {
+            let least = 0.5 * costs[PROBE] * self.factors[PROBE] / costs[BASE];
+            self.factors[BASE] = self.factors[BASE].max(least);
+        }
+        self
+    }
+
     /// Sample sizes after it.
     pub(super) fn grown(&self, sizes: [u32; KINDS]) -> [u32; KINDS] {
         std::array::from_fn(|t| {
-            let size = f64::from(sizes[t]) * self.factors[t].clamp(1.0, MOST_GROWTH);
+            let factor = if self.factors[t] > MET { self.factors[t].clamp(LEAST_GROWTH, MOST_GROWTH) } else { 1.0 };
+            let size = f64::from(sizes[t]) * factor;
             size.ceil().min(f64::from(u32::MAX / 64)) as u32
         })
     }
@@ -74,40 +94,38 @@ impl Plan {
 /// The cheapest way to bring the squared error down to `goal`; `None` when the patches are too coarse for any.
 pub(super) fn cheapest(errors: &Errors, costs: &[f64; KINDS], goal: f64, refine: bool) -> Option<Plan> {
     let (known, doubt) = (errors.discretisation.max(0.0), errors.doubt);
+    let reserve = 0.5 * doubt.min(DOUBT * goal);
     // Without correction: the sampling down to `left`, and the doubt to its share of `whole`.
     let uncorrected = |left: f64, whole: f64| {
         let mut factors = growth(&errors.variances, costs, left, &[0, BASE]);
         factors[PROBE] = (doubt / (DOUBT * whole)).max(1.0).powf(1.0 / DECAY);
-        Plan { factors: with_base(factors, costs), corrected: false }
+        Plan { factors, corrected: false }.with_base(costs)
     };
-    let left = goal - known - 0.5 * doubt.min(DOUBT * goal);
+    let left = goal - known - reserve;
     let plain = (left >= LEAST * goal).then(|| uncorrected(left, goal));
     if !refine {
         // What the patches cannot show is not to be had: sampling need not be finer than a part of that.
         return Some(plain.unwrap_or_else(|| uncorrected((LEAST * goal).max(0.1 * known), goal.max(known))));
+    }
+    if plain.is_some_and(|plan| plan.is_met()) {
+        return plain;
+    }
+    let cheaper = |plans: [Option<Plan>; 2]| {
+        plans.into_iter().flatten().min_by(|p, q| p.extra_cost(costs).total_cmp(&q.extra_cost(costs)))
+    };
+    if known < SURE * doubt {
+        // Nobody corrects an error, or cuts patches for one, that may be noise. The sampling goes as far as it must without
+        // such an error; from there it goes on, or the probe until more is known, whichever is cheaper.
+        let least = uncorrected(goal - reserve, goal);
+        let more = Plan { factors: [1.0, 1.0, PROBE_GROWTH], corrected: false }.with_base(costs);
+        return if least.is_met() { cheaper([plain, Some(more)]) } else { Some(least) };
     }
     let left = goal - LEFT * LEFT * (known + doubt);
     let corrected = (left >= LEAST * goal).then(|| {
         let factors = growth(&errors.variances, costs, left, &[0, BASE, PROBE]);
         Plan { factors, corrected: true }
     });
-    let cheaper = |plans: [Option<Plan>; 2]| {
-        plans.into_iter().flatten().min_by(|p, q| p.extra_cost(costs).total_cmp(&q.extra_cost(costs)))
-    };
-    // Patches are cut only for an error that is surely there.
-    let unsure = known < 4.0 * doubt;
-    let more = with_base([1.0, 1.0, MOST_GROWTH.sqrt()], costs);
-    cheaper([plain, corrected]).or_else(|| unsure.then_some(Plan { factors: more, corrected: false }))
-}
-
-/// The base grows with the probe where that would have more rays: the probe holds the residuals that the base has measured, and
-/// their noise is a part of the doubt.
-fn with_base(mut factors: [f64; KINDS], costs: &[f64; KINDS]) -> [f64; KINDS] {
-    // A probe ray is two rays.
-    if factors[PROBE] > 1.0 && costs[BASE] > 0.0 {
-        factors[BASE] = factors[BASE].max(0.5 * costs[PROBE] * factors[PROBE] / costs[BASE]);
-    }
-    factors
+    cheaper([plain, corrected])
 }
 
 /// The factors by which the samples of these kinds must grow to bring the sum of their variances down to `goal`, none below 1.

@@ -6,7 +6,7 @@ use super::measure::{Measure, Mesh};
 use super::plan::{Plan, cheapest};
 use super::transport::{Tally, Transport};
 use crate::assembly::rays::{BYTES_OF_RAY, Field};
-use crate::assembly::{FormFactors, Order, Rays};
+use crate::assembly::{Order, Rays};
 use crate::direct::Lamps;
 use crate::direct::patches::{Direct, SCRAMBLES};
 use crate::error::{Error, Result};
@@ -247,7 +247,7 @@ fn on_mesh(
 
     let goal = (SHARE * options.tolerance).powi(2);
     let (mut base, mut probe) = (Tally::new(n, bands), Tally::new(n, bands));
-    let first = (count / SCRAMBLES / 2).max(2) as u32;
+    let first = (count / SCRAMBLES).max(2) as u32;
     let mut sizes = [FIRST_SEGMENTS, first, (first / 4).max(1)];
     let mut shares = Vec::new();
     let mut round = 1;
@@ -342,9 +342,8 @@ fn first_field(
         history.push(step.clone());
         progress.advance(0)
     };
-    let Some(mut light) = propagated(&system, &[reflected], RESIDUAL, &mut observe)? else { return Ok(None) };
-    let mut field = vec![0.0; source.len()];
-    operator.apply(&light.swap_remove(0), bands, &mut field);
+    let Some(mut arriving) = propagated(&system, &[reflected], RESIDUAL, &mut observe)? else { return Ok(None) };
+    let mut field = arriving.swap_remove(0);
     field.iter_mut().zip(source).for_each(|(u, h)| *u += h);
     Ok(Some(field))
 }

@@ -84,12 +84,10 @@ const BASE: usize = 0;
 const PROBE: usize = SCRAMBLES;
 const PILOT: usize = 2 * SCRAMBLES;
 
-/// Dimensions of the sequence by what they are used for. The base asks a lamp where its ray arrives, the probe where the next
-/// one does. The first two dimensions are the most even ones, and direction matters most.
-const RAY: usize = 0;
-const ORIGIN: usize = 2;
+/// Dimensions of a sample: 0 and 1 the direction (it matters most, and they are the most even ones), 2 and 3 the origin, 4 and 5
+/// the next ray of the probe, and from here on the point of a lamp. The base asks a lamp where its ray arrives, the probe where
+/// the next one does.
 const LAMP: usize = 4;
-const NEXT_RAY: usize = 4;
 const NEXT_LAMP: usize = 6;
 
 impl Transport<'_> {
@@ -100,7 +98,7 @@ impl Transport<'_> {
     /// The points where the rays from patches meet the front of others first.
     fn first_arrivals(&self, samples: &[Sample]) -> Vec<Arrival> {
         let ray = |sample: &Sample| {
-            let [s, t, u, v] = sample.numbers(RAY);
+            let [s, t, u, v, ..] = sample.numbers;
             let i = sample.patch as usize;
             let origin = point_in_triangle(&self.scene.triangle(i), u, v);
             Emitter::new(self.scene, self.tree, i).ray(origin, cosine_direction(s, t))
@@ -111,7 +109,7 @@ impl Transport<'_> {
     /// The same for rays from where others have arrived.
     fn next_arrivals(&self, samples: &[Sample], from: &[Arrival]) -> Vec<Arrival> {
         let ray = |arrival: &Arrival| {
-            let [s, t] = samples[arrival.ray].numbers(NEXT_RAY);
+            let [.., s, t, _, _] = samples[arrival.ray].numbers;
             let emitter = Emitter::new(self.scene, self.tree, arrival.point.patch as usize);
             emitter.ray(arrival.point.x, cosine_direction(s, t))
         };
@@ -139,7 +137,10 @@ impl Transport<'_> {
     fn first_light(&self, samples: &[Sample], arrivals: &[Arrival], lamp: usize, out: &mut [f64]) -> usize {
         let bands = self.bands();
         let points: Vec<Point> = arrivals.iter().map(|arrival| arrival.point).collect();
-        let numbers = |k: usize| samples[arrivals[k].ray].numbers(lamp);
+        let numbers = |k: usize| {
+            let all = &samples[arrivals[k].ray].numbers;
+            [all[lamp], all[lamp + 1]]
+        };
         let in_view = |i: u32, l: usize| self.direct.in_view(i, l);
         let cast = self.lamps.light(&points, self.blockers, numbers, in_view, out);
         for (point, out) in points.iter().zip(out.chunks_exact_mut(bands)) {
@@ -169,16 +170,15 @@ impl Transport<'_> {
             .enumerate()
             .map(|(i, mut row)| {
                 progress.advance(count as u64)?;
-                let samples: Vec<Sample> =
-                    (0..count as u32).map(|k| Sample::new(self.seed, i as u32, PILOT, k)).collect();
+                let samples: Vec<Sample> = Sample::rays(self.seed, i as u32, PILOT, 0..count as u32).collect();
                 let arrivals = self.first_arrivals(&samples);
-                for (k, sample) in samples.iter().enumerate() {
-                    let [u, v] = sample.numbers(ORIGIN);
-                    row.set(k, barycentric(u, v), None);
-                }
-                for arrival in &arrivals {
-                    let [u, v] = samples[arrival.ray].numbers(ORIGIN);
-                    row.set(arrival.ray, barycentric(u, v), Some((arrival.point.patch, arrival.barycentric)));
+                let origin = |k: usize| {
+                    let [_, _, u, v, ..] = samples[k].numbers;
+                    barycentric(u, v)
+                };
+                (0..count).for_each(|k| row.set(k, origin(k), None));
+                for Arrival { ray, point, barycentric } in &arrivals {
+                    row.set(*ray, origin(*ray), Some((point.patch, *barycentric)));
                 }
                 let mut light = vec![0.0; arrivals.len() * bands];
                 let cast = self.first_light(&samples, &arrivals, LAMP, &mut light);
@@ -246,7 +246,7 @@ impl Transport<'_> {
                 at[arrival.ray] = arrival.point.patch as usize;
                 is_lost[arrival.ray] = false;
                 let j = arrival.point.patch as usize * bands;
-                let residual = &residuals[samples[arrival.ray].scramble() - PROBE];
+                let residual = &residuals[samples[arrival.ray].scramble as usize - PROBE];
                 for b in 0..bands {
                     out[arrival.ray * bands + b] =
                         -known[k * bands + b] - self.scene.reflectance()[j + b] * residual[j + b];
@@ -286,28 +286,24 @@ impl Transport<'_> {
                 let first = group * PATCHES;
                 let ranges: Vec<_> =
                     rays.iter().enumerate().map(|(p, have)| *have..wanted(first + p).max(*have)).collect();
-                let of_patch = |p: usize| {
-                    let range = ranges[p].clone();
-                    (0..SCRAMBLES).flat_map(move |s| range.clone().map(move |k| (p, s, k)))
-                };
-                let mut all = (0..ranges.len()).flat_map(of_patch);
+                let of_scramble =
+                    |p: usize, s: usize| Sample::rays(self.seed, (first + p) as u32, stream + s, ranges[p].clone());
+                let mut all = (0..ranges.len()).flat_map(|p| (0..SCRAMBLES).flat_map(move |s| of_scramble(p, s)));
                 let mut cast = 0;
                 loop {
-                    let bundle: Vec<(usize, usize, u32)> = all.by_ref().take(BUNDLE).collect();
-                    if bundle.is_empty() {
+                    let samples: Vec<Sample> = all.by_ref().take(BUNDLE).collect();
+                    if samples.is_empty() {
                         break;
                     }
-                    let sample =
-                        |&(p, s, k): &(usize, usize, u32)| Sample::new(self.seed, (first + p) as u32, stream + s, k);
-                    let samples: Vec<Sample> = bundle.iter().map(sample).collect();
                     let (mut values, mut is_lost) = (vec![0.0; samples.len() * bands], vec![true; samples.len()]);
                     cast += bring(&samples, &mut values, &mut is_lost) as u64;
-                    for ((&(p, s, _), value), is_lost) in bundle.iter().zip(values.chunks_exact(bands)).zip(is_lost) {
+                    for ((sample, value), is_lost) in samples.iter().zip(values.chunks_exact(bands)).zip(is_lost) {
+                        let (p, s) = (sample.patch as usize - first, sample.scramble as usize - stream);
                         let sums = &mut sums[(p * SCRAMBLES + s) * bands..][..bands];
                         sums.iter_mut().zip(value).for_each(|(sum, value)| *sum += value);
                         lost[p] += u32::from(is_lost);
                     }
-                    progress.advance(bundle.len() as u64)?;
+                    progress.advance(samples.len() as u64)?;
                 }
                 rays.iter_mut().zip(&ranges).for_each(|(have, range)| *have = range.end);
                 Ok(cast)

@@ -16,11 +16,13 @@
 //! patch with a scramble of its own, so that the rows are independent. One ray takes 12 bytes: barycentric coordinates are
 //! kept in 16 bits, since this operator is only where a solve starts from ([`crate::accuracy`]).
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::FormFactors;
 use super::matrix::add_scaled;
-use crate::geometry::sampling::{Sobol, hash};
+use crate::geometry::sampling::{DIMENSIONS, Sobol, hash};
 use crate::visibility::NO_PATCH;
 
 /// How the radiosity of a patch varies over it.
@@ -47,29 +49,17 @@ impl Order {
 pub struct Sample {
     /// The patch that it starts on.
     pub patch: u32,
-    /// The sequence that it is taken from.
-    stream: u64,
-    scramble: u32,
-    index: u32,
+    /// The scramble that its numbers are from.
+    pub scramble: u32,
+    /// In (0, 1).
+    pub numbers: [f64; DIMENSIONS],
 }
 
 impl Sample {
-    /// Ray number `index` of scramble `scramble` from a patch.
-    #[inline]
-    pub fn new(seed: u64, patch: u32, scramble: usize, index: u32) -> Sample {
-        let stream = hash(hash(seed ^ hash(u64::from(patch))).wrapping_add(scramble as u64));
-        Sample { patch, stream, scramble: scramble as u32, index }
-    }
-
-    /// The scramble that it belongs to.
-    pub fn scramble(&self) -> usize {
-        self.scramble as usize
-    }
-
-    /// N numbers in (0, 1), from dimension `first` of the sequence on.
-    #[inline]
-    pub fn numbers<const N: usize>(&self, first: usize) -> [f64; N] {
-        Sobol::new(self.stream).coordinates(first, self.index)
+    /// The rays `indices` of a scramble from a patch.
+    pub fn rays(seed: u64, patch: u32, scramble: usize, indices: Range<u32>) -> impl Iterator<Item = Sample> {
+        let sobol = Sobol::new(hash(hash(seed ^ hash(u64::from(patch))).wrapping_add(scramble as u64)));
+        indices.map(move |k| Sample { patch, scramble: scramble as u32, numbers: sobol.point(k) })
     }
 }
 

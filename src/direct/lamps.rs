@@ -28,8 +28,8 @@ use crate::scene::{Description, Scene, Sides};
 use crate::simd::Instructions;
 use crate::visibility::{Bvh, NO_PATCH, Segment, convex_polygons};
 
-/// Never more lamps than this.
-const MOST: usize = 64;
+/// Never more lamps than this: as many as a word has bits.
+const MOST: usize = u64::BITS as usize;
 /// What asking a lamp costs, in rays: to choose it and a point of it, and the segment.
 const SEGMENT_COST: f64 = 0.7;
 /// What the form factor of one more lamp costs.
@@ -105,13 +105,13 @@ impl Lamps {
         self.lamps[l].emission.iter().zip(&self.scale).map(|(e, s)| e * s).sum()
     }
 
-    /// out_kb = direct irradiance at point k, W/m^2: an unbiased sample with the random `numbers(k)` in the unit cube.
+    /// out_kb = direct irradiance at point k, W/m^2: an unbiased sample with the random `numbers(k)` in the unit square.
     /// `in_view(i, l)`: whether patch i sees most of lamp l. Without blockers the answer is exact. Returns the segments cast.
     pub fn light(
         &self,
         points: &[Point],
         blockers: &Bvh,
-        numbers: impl Fn(usize) -> [f64; 3],
+        numbers: impl Fn(usize) -> [f64; 2],
         in_view: impl Fn(u32, usize) -> bool,
         out: &mut [f64],
     ) -> usize {
@@ -144,13 +144,14 @@ impl Lamps {
             if !(total > 0.0) {
                 continue;
             }
-            let [u, v, choice] = numbers(k);
-            let (mut l, mut sum) = (0, share(0));
-            while l + 1 < count && sum <= choice * total {
+            // The first number says which lamp, and what is left of it where on the lamp.
+            let [u, v] = numbers(k);
+            let (mut l, mut left) = (0, u * total);
+            while l + 1 < count && left >= share(l) {
+                left -= share(l);
                 l += 1;
-                sum += share(l);
             }
-            let (end, weight) = self.lamps[l].sample(point, u, v);
+            let (end, weight) = self.lamps[l].sample(point, (left / share(l)).min(1.0), v);
             if weight > 0.0 && share(l) > 0.0 {
                 asked.push((k, l, weight * total / share(l)));
                 segments.push(Segment { start: point.x, end, exclude: [point.patch, NO_PATCH] });

@@ -72,6 +72,8 @@ pub struct Direct<'a> {
     blockers: &'a Bvh,
     seed: u64,
     views: Vec<Vec<View>>,
+    /// For each patch the lamps that it sees most of, a bit each.
+    in_view: Vec<u64>,
     /// Segments cast.
     pub segments: u64,
 }
@@ -114,7 +116,8 @@ impl<'a> Direct<'a> {
                 Ok(views)
             })
             .collect();
-        let mut direct = Direct { scene, lamps, blockers, seed, views: views?, segments: 0 };
+        let in_view = vec![u64::MAX; scene.len()];
+        let mut direct = Direct { scene, lamps, blockers, seed, views: views?, in_view, segments: 0 };
         direct.sample(|_| each, progress)?;
         Ok(direct)
     }
@@ -129,7 +132,7 @@ impl<'a> Direct<'a> {
             return Ok(());
         }
         let (scene, lamps, blockers, seed) = (self.scene, self.lamps, self.blockers, self.seed);
-        let cast = |(i, views): (usize, &mut Vec<View>)| -> Result<u64> {
+        let cast = |(i, (views, in_view)): (usize, (&mut Vec<View>, &mut u64))| -> Result<u64> {
             progress.advance(0)?;
             let (triangle, normal, patch) = (scene.triangle(i), scene.normals()[i], i as u32);
             let mut cast = 0;
@@ -160,10 +163,13 @@ impl<'a> Direct<'a> {
                     cast += segments.len() as u64;
                 }
                 view.segments = target;
+                let bit = 1 << view.lamp;
+                *in_view = if view.fraction() >= 0.5 { *in_view | bit } else { *in_view & !bit };
             }
             Ok(cast)
         };
-        let cast: Result<Vec<u64>> = self.views.par_iter_mut().enumerate().map(cast).collect();
+        let patches = self.views.par_iter_mut().zip(&mut self.in_view).enumerate();
+        let cast: Result<Vec<u64>> = patches.map(cast).collect();
         self.segments += cast?.iter().sum::<u64>();
         Ok(())
     }
@@ -175,8 +181,9 @@ impl<'a> Direct<'a> {
     }
 
     /// Whether patch i sees most of lamp l.
+    #[inline]
     pub fn in_view(&self, i: u32, l: usize) -> bool {
-        self.views[i as usize].iter().find(|view| view.lamp as usize == l).is_none_or(|view| view.fraction() >= 0.5)
+        self.in_view[i as usize] >> l & 1 == 1
     }
 
     /// H of patch i, one a band, added to `out`.

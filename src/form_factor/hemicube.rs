@@ -258,7 +258,7 @@ fn sample_points(emitter: &Emitter, set: u32, seed: u64) -> Vec<Vec3> {
     }
     let sobol = Sobol::new(hash(seed ^ hash(emitter.stream() ^ hash(u64::from(set)))));
     let point = |k: u32| {
-        let [u, v, _, _] = sobol.point(k);
+        let [u, v] = sobol.point(k);
         point_in_triangle(&emitter.triangle, u, v)
     };
     (0..1 << (2 * set)).map(point).collect()

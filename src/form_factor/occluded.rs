@@ -50,7 +50,7 @@ pub fn visible_fraction(blockers: &Bvh, a: &End, b: &End, segments: u32, seed: u
     let (mut first_weight, mut all_squares) = (0.0, 0.0);
     let (mut weights, mut bundle) = (Vec::with_capacity(BUNDLE), Vec::with_capacity(BUNDLE));
     let first = hash(seed ^ hash(u64::from(a.patch) << 32 | u64::from(b.patch)));
-    let sobol: [Sobol; REPLICATES as usize] = std::array::from_fn(|r| Sobol::new(first.wrapping_add(r as u64)));
+    let sobol: [Sobol<4>; REPLICATES as usize] = std::array::from_fn(|r| Sobol::new(first.wrapping_add(r as u64)));
     for k in 0..REPLICATES * each {
         let r = (k / each) as usize;
         let [u, v, s, t] = sobol[r].point(k % each);

@@ -9,10 +9,10 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use super::{Triangle, Vec3};
 
-/// Dimensions of the sequence: two points on two triangles take four; a ray and what it does at two places, nine.
-pub const DIMENSIONS: usize = 9;
+/// Most dimensions of a sequence: two points on two triangles take four; a ray and what it does at two places, eight.
+pub const DIMENSIONS: usize = 8;
 
-/// Primitive polynomial (degree, coefficients) and initial numbers m_k of dimensions 2 to 9 (Joe & Kuo 2008);
+/// Primitive polynomial (degree, coefficients) and initial numbers m_k of dimensions 2 to 8 (Joe & Kuo 2008);
 /// dimension 1 is van der Corput's.
 const JOE_KUO: [(u32, u32, [u32; 5]); DIMENSIONS - 1] = [
     (1, 0, [1, 0, 0, 0, 0]),
@@ -22,10 +22,9 @@ const JOE_KUO: [(u32, u32, [u32; 5]); DIMENSIONS - 1] = [
     (4, 1, [1, 1, 3, 3, 0]),
     (4, 4, [1, 3, 5, 13, 0]),
     (5, 2, [1, 1, 5, 5, 17]),
-    (5, 4, [1, 1, 5, 5, 5]),
 ];
 
-/// Direction numbers, one 32-bit word per bit of the index.
+/// Direction numbers, one 32-bit word per bit of the index, the highest bit first.
 const DIRECTIONS: [[u32; 32]; DIMENSIONS] = directions();
 
 const fn directions() -> [[u32; 32]; DIMENSIONS] {
@@ -61,7 +60,7 @@ const fn directions() -> [[u32; 32]; DIMENSIONS] {
     v
 }
 
-/// The words of every value of every byte of an index: an index is the exclusive or of four of them.
+/// The words of every value of every byte of an index, the lowest bit first: an index is the exclusive or of four of them.
 static WORDS: [[[u32; DIMENSIONS]; 256]; 4] = words();
 
 const fn words() -> [[[u32; DIMENSIONS]; 256]; 4] {
@@ -75,7 +74,7 @@ const fn words() -> [[[u32; DIMENSIONS]; 256]; 4] {
             while dimension < DIMENSIONS {
                 // What the lower bits say, and the highest.
                 let rest = words[byte][value ^ 1 << bit][dimension];
-                words[byte][value][dimension] = rest ^ DIRECTIONS[dimension][8 * byte + bit];
+                words[byte][value][dimension] = rest ^ DIRECTIONS[dimension][8 * byte + bit].reverse_bits();
                 dimension += 1;
             }
             value += 1;
@@ -117,45 +116,39 @@ impl Random {
     }
 }
 
-/// An Owen-scrambled Sobol sequence.
+/// An Owen-scrambled Sobol sequence in D dimensions, at most [`DIMENSIONS`].
+///
+/// What belongs together takes dimensions of one sequence. Two scrambles of the same dimension would not do: their first bits
+/// are equal at all points, or different at all.
 #[derive(Debug, Clone, Copy)]
-pub struct Sobol {
-    seed: u64,
+pub struct Sobol<const D: usize> {
+    scrambles: [u32; D],
 }
 
-impl Sobol {
+impl<const D: usize> Sobol<D> {
     /// The scramble that belongs to `seed`.
-    pub fn new(seed: u64) -> Sobol {
-        Sobol { seed: hash(seed) }
+    #[inline]
+    pub fn new(seed: u64) -> Sobol<D> {
+        let seed = hash(seed);
+        Sobol { scrambles: std::array::from_fn(|d| hash(seed.wrapping_add(d as u64)) as u32) }
     }
 
-    /// The first four coordinates of point number `index`, each in (0, 1).
+    /// Point number `index`, each coordinate in (0, 1).
     #[inline]
-    pub fn point(&self, index: u32) -> [f64; 4] {
-        self.coordinates::<4>(0, index)
-    }
-
-    /// N coordinates of point number `index` from dimension `first` on, each in (0, 1).
-    ///
-    /// What belongs together takes dimensions of one sequence. Two scrambles of the same dimension would not do: their first
-    /// bits are equal at all points, or different at all.
-    #[inline]
-    pub fn coordinates<const N: usize>(&self, first: usize, index: u32) -> [f64; N] {
+    pub fn point(&self, index: u32) -> [f64; D] {
         let [a, b, c, d] = index.to_le_bytes().map(usize::from);
         let [a, b, c, d] = [&WORDS[0][a], &WORDS[1][b], &WORDS[2][c], &WORDS[3][d]];
         std::array::from_fn(|k| {
-            let dimension = first + k;
-            let word = a[dimension] ^ b[dimension] ^ c[dimension] ^ d[dimension];
-            let seed = hash(self.seed.wrapping_add(dimension as u64)) as u32;
-            (f64::from(owen_scramble(word, seed)) + 0.5) / 4_294_967_296.0
+            let word = a[k] ^ b[k] ^ c[k] ^ d[k];
+            (f64::from(owen_scramble(word, self.scrambles[k])) + 0.5) / 4_294_967_296.0
         })
     }
 }
 
-/// Vegdahl 2021: a hash in which each bit depends on the bits above it only.
+/// Vegdahl 2021: a hash in which each bit depends on the bits below it only, of a word with the lowest bit first.
 #[inline]
 fn owen_scramble(word: u32, seed: u32) -> u32 {
-    let mut x = word.reverse_bits();
+    let mut x = word;
     x ^= x.wrapping_mul(0x3d20_adea);
     x = x.wrapping_add(seed);
     x = x.wrapping_mul((seed >> 16) | 1);

@@ -120,7 +120,7 @@ pub fn render(
                     let x = part * TOGETHER + column;
                     let sobol = Sobol::new(hash((y * width + x) as u64));
                     rays.extend(numbers.clone().map(|k| {
-                        let [u, v, ..] = sobol.point(k);
+                        let [u, v] = sobol.point(k);
                         let direction = camera.direction(x as f64 + u, y as f64 + v, width, height);
                         Ray { origin: camera.origin(), direction, exclude: NO_PATCH }
                     }));

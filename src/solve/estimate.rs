@@ -41,9 +41,14 @@ pub(super) fn estimate(system: &System, radiosity: &[f64], irradiance: &[f64], u
     }
     let reflected: Vec<f64> = radiosity.iter().zip(emission).map(|(b, e)| b - e).collect();
     let light = norms(system, &reflected);
-    let Some(errors) = propagated(system, &sources, TOLERANCE, &mut |_, _, _| Ok(()))? else {
+    let Some(arriving) = propagated(system, &sources, TOLERANCE, &mut |_, _, _| Ok(()))? else {
         return Ok(Estimate { error: f64::INFINITY, standard_error: None });
     };
+    // Of every source: what it becomes in all later bounces, and all together.
+    let later: Vec<Vec<f64>> =
+        arriving.iter().map(|h| h.iter().zip(reflectance).map(|(h, rho)| rho * h).collect()).collect();
+    let sum = |(source, later): (&Vec<f64>, &Vec<f64>)| source.iter().zip(later).map(|(s, l)| s + l).collect();
+    let errors: Vec<Vec<f64>> = sources.iter().zip(&later).map(sum).collect();
     let sizes: Vec<Vec<f64>> = errors.iter().map(|error| norms(system, error)).collect();
     let draws = sizes.len() - 2;
     let mut error = 0.0f64;
@@ -55,9 +60,7 @@ pub(super) fn estimate(system: &System, radiosity: &[f64], irradiance: &[f64], u
     }
     let standard_error = (draws > 0).then(|| {
         // The first bounce is known patch by patch; what later ones add is smooth, and known as a mean.
-        let later: Vec<Vec<f64>> = (2..sizes.len())
-            .map(|k| norms(system, &errors[k].iter().zip(&sources[k]).map(|(x, s)| x - s).collect::<Vec<_>>()))
-            .collect();
+        let later: Vec<Vec<f64>> = later[2..].iter().map(|later| norms(system, later)).collect();
         let area: f64 = form_factors.areas().map_or(form_factors.len() as f64, |areas| areas.iter().sum());
         let mean = |b: usize| (later.iter().map(|x| x[b] * x[b]).sum::<f64>() / (draws as f64 * area)).sqrt();
         let later: Vec<f64> = (0..bands).map(mean).collect();

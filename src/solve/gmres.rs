@@ -54,9 +54,21 @@ impl Small {
         }
         y
     }
+
+    /// Coefficients of the residual in the Krylov vectors: what the rotations have left, rotated back.
+    fn residual(&self) -> Vec<f64> {
+        let n = self.columns.len();
+        let mut x = vec![0.0; n + 1];
+        x[n] = self.rhs[n];
+        for (j, (c, s)) in self.rotations.iter().enumerate().rev() {
+            (x[j], x[j + 1]) = (c * x[j] - s * x[j + 1], s * x[j] + c * x[j + 1]);
+        }
+        x
+    }
 }
 
-pub(super) fn solve(system: &System, run: &mut Run) -> Result<Vec<f64>> {
+/// The radiosity, and what it makes arrive: F B.
+pub(super) fn solve(system: &System, run: &mut Run) -> Result<(Vec<f64>, Vec<f64>)> {
     let bands = system.bands;
     let mut start = system.emission.to_vec();
     loop {
@@ -72,8 +84,8 @@ pub(super) fn solve(system: &System, run: &mut Run) -> Result<Vec<f64>> {
             let mut columns = vec![Vec::with_capacity(k + 2); bands];
             for v in &basis {
                 let products = inner_products(system, &w, v);
-                for (j, (w, v)) in w.iter_mut().zip(v).enumerate() {
-                    *w -= products[j % bands] * v;
+                for (w, v) in w.chunks_exact_mut(bands).zip(v.chunks_exact(bands)) {
+                    w.iter_mut().zip(v).zip(&products).for_each(|((w, v), product)| *w -= product * v);
                 }
                 columns.iter_mut().zip(products).for_each(|(column, h)| column.push(h));
             }
@@ -83,27 +95,33 @@ pub(super) fn solve(system: &System, run: &mut Run) -> Result<Vec<f64>> {
                 small.push(column);
             }
             basis.push(scaled(&w, &inverse(&lengths)));
-            let radiosity = combined(&start, &basis, &small);
-            let unshot = residual(system, &irradiance(system, &radiosity), &radiosity);
+            let mut radiosity = start.clone();
+            combine(&mut radiosity, &basis, &small.iter().map(Small::solve).collect::<Vec<_>>());
+            let mut unshot = vec![0.0; radiosity.len()];
+            combine(&mut unshot, &basis, &small.iter().map(Small::residual).collect::<Vec<_>>());
+            let mut arriving = Vec::new();
+            if run.ends_with(&unshot, MOST_STEPS) {
+                // What was carried along has rounding errors of its own: the last word has the system.
+                arriving = irradiance(system, &radiosity);
+                unshot = residual(system, &arriving, &radiosity);
+            }
             if run.step(&radiosity, &unshot, MOST_STEPS)? {
-                return Ok(radiosity);
+                return Ok((radiosity, arriving));
             }
             start = if k + 1 == RESTART { radiosity } else { start };
         }
     }
 }
 
-/// start + sum over k of y_k v_k.
-fn combined(start: &[f64], basis: &[Vec<f64>], small: &[Small]) -> Vec<f64> {
-    let bands = small.len();
-    let coefficients: Vec<Vec<f64>> = small.iter().map(Small::solve).collect();
-    let mut out = start.to_vec();
+/// out += sum over k of y_k v_k, the coefficients y band by band.
+fn combine(out: &mut [f64], basis: &[Vec<f64>], coefficients: &[Vec<f64>]) {
+    let bands = coefficients.len();
     for (k, v) in basis.iter().take(coefficients[0].len()).enumerate() {
-        for (j, (out, v)) in out.iter_mut().zip(v).enumerate() {
-            *out += coefficients[j % bands][k] * v;
+        let factors: Vec<f64> = coefficients.iter().map(|y| y[k]).collect();
+        for (out, v) in out.chunks_exact_mut(bands).zip(v.chunks_exact(bands)) {
+            out.iter_mut().zip(v).zip(&factors).for_each(|((out, v), factor)| *out += factor * v);
         }
     }
-    out
 }
 
 /// 1/x, or 0 for a band that is already exact.
@@ -112,15 +130,18 @@ fn inverse(norms: &[f64]) -> Vec<f64> {
 }
 
 fn scaled(x: &[f64], factors: &[f64]) -> Vec<f64> {
-    x.iter().enumerate().map(|(k, x)| x * factors[k % factors.len()]).collect()
+    x.chunks_exact(factors.len()).flat_map(|row| row.iter().zip(factors).map(|(x, factor)| x * factor)).collect()
 }
 
 /// Area-weighted inner products, one a band.
 fn inner_products(system: &System, x: &[f64], y: &[f64]) -> Vec<f64> {
-    let mut sums = vec![0.0; system.bands];
-    for (k, (x, y)) in x.iter().zip(y).enumerate() {
-        let area = system.form_factors.areas().map_or(1.0, |areas| areas[k / system.bands]);
-        sums[k % system.bands] += area * x * y;
+    let bands = system.bands;
+    let mut sums = vec![0.0; bands];
+    for (i, (x, y)) in x.chunks_exact(bands).zip(y.chunks_exact(bands)).enumerate() {
+        let area = system.form_factors.areas().map_or(1.0, |areas| areas[i]);
+        for b in 0..bands {
+            sums[b] += area * x[b] * y[b];
+        }
     }
     sums
 }

@@ -156,7 +156,7 @@ pub fn solve(system: &System, method: Method, options: &Options, observe: &mut O
         Method::Jacobi => jacobi::solve(system, &mut run),
         Method::GaussSeidel => gauss_seidel::solve(system, &mut run),
         Method::Southwell => southwell::solve(system, &mut run),
-        Method::Gmres => gmres::solve(system, &mut run),
+        Method::Gmres => gmres::solve(system, &mut run).map(|(radiosity, _)| radiosity),
     }?;
     let (history, failure) = (run.history, run.failure);
     let irradiance = irradiance(system, &radiosity);
@@ -253,11 +253,27 @@ impl<'a, 'b> Run<'a, 'b> {
         }
     }
 
+    /// The largest residual of the bands, in units of their emission.
+    fn relative(&self, unshot: &[f64]) -> f64 {
+        let relative = |(r, e): (f64, &f64)| if *e > 0.0 { r / e } else { r };
+        norms(self.system, unshot).into_iter().zip(&self.emission_norms).map(relative).fold(0.0, worse)
+    }
+
+    /// Whether the next step would be the last if it left this.
+    fn ends_with(&self, unshot: &[f64], own_limit: usize) -> bool {
+        let residual = self.relative(unshot);
+        residual <= self.tolerance || !residual.is_finite() || self.history.len() + 1 >= self.limit(own_limit)
+    }
+
+    /// Steps allowed.
+    fn limit(&self, own_limit: usize) -> usize {
+        self.max_iterations.unwrap_or(own_limit)
+    }
+
     /// Records a step; true when there is to be no other: the tolerance is met, or never will be.
     fn step(&mut self, radiosity: &[f64], unshot: &[f64], own_limit: usize) -> Result<bool> {
         let System { form_factors, bands, .. } = *self.system;
-        let relative = |(r, e): (f64, &f64)| if *e > 0.0 { r / e } else { r };
-        let residual = norms(self.system, unshot).into_iter().zip(&self.emission_norms).map(relative).fold(0.0, worse);
+        let residual = self.relative(unshot);
         let mut power = vec![0.0; bands];
         for (i, row) in unshot.chunks_exact(bands).enumerate() {
             let area = form_factors.areas().map_or(1.0, |areas| areas[i]);
@@ -279,7 +295,7 @@ impl<'a, 'b> Run<'a, 'b> {
                 "direct left a relative residual of {residual:.3e}, above the tolerance {tolerance:.3e}: the system is too \
                  close to one without finite solution for double precision"
             ))
-        } else if steps >= self.max_iterations.unwrap_or(own_limit) {
+        } else if steps >= self.limit(own_limit) {
             Some(format!(
                 "{name} stopped after {steps} steps at a relative residual of {residual:.3e}, above the tolerance \
                  {tolerance:.3e}; allow more iterations or choose another method (\"direct\" takes one step)"

@@ -1,4 +1,4 @@
-//! What sources of light become after all bounces, in many columns at once.
+//! What arrives of sources of light after all bounces, in many columns at once.
 //!
 //! Sources may be of any sign: errors are propagated like light.
 
@@ -8,7 +8,7 @@ use crate::error::Result;
 /// Steps after which the system is taken for one that has no finite solution.
 const MOST_STEPS: usize = 500;
 
-/// (I - rho F)^-1 of every source, n x b each, to the relative residual `tolerance`; `None` when that has no end.
+/// F (I - rho F)^-1 of every source, n x b each, to the relative residual `tolerance`; `None` when that has no end.
 ///
 /// # Errors
 /// What `observe` returns, after any step.
@@ -36,11 +36,11 @@ pub(crate) fn propagated(
     let wide = System { form_factors, emission: &emission, reflectance: &weights, bands: columns };
     let options = Options { tolerance, max_iterations: Some(MOST_STEPS), memory: u64::MAX };
     let mut run = Run::new(&wide, Method::Gmres, &options, observe);
-    let solution = gmres::solve(&wide, &mut run)?;
+    let (_, arriving) = gmres::solve(&wide, &mut run)?;
     if run.failure.is_some() {
         return Ok(None);
     }
     let row_of = |row: &[f64], s: usize| row[s * bands..][..bands].iter().map(|x| x * units[s]).collect::<Vec<_>>();
-    let column = |s: usize| solution.chunks_exact(columns).flat_map(|row| row_of(row, s)).collect();
+    let column = |s: usize| arriving.chunks_exact(columns).flat_map(|row| row_of(row, s)).collect();
     Ok(Some((0..sources.len()).map(column).collect()))
 }

@@ -16,14 +16,15 @@ fn options(tolerance: f64, order: Order) -> Options {
 
 #[test]
 fn samples_of_a_patch_are_independent_of_others() {
-    let of = |patch, scramble, index| Sample::new(7, patch, scramble, index).numbers::<4>(0);
+    let of = |patch, scramble, index| {
+        Sample::rays(7, patch, scramble, index..index + 1).map(|sample| sample.numbers).collect::<Vec<_>>()
+    };
     assert_eq!(of(3, 1, 5), of(3, 1, 5));
     assert_ne!(of(3, 1, 5), of(4, 1, 5));
     assert_ne!(of(3, 1, 5), of(3, 2, 5));
-    // Stages take other dimensions of the same sequence.
-    let sample = Sample::new(7, 3, 1, 5);
-    let all = sample.numbers::<9>(0);
-    assert_eq!(sample.numbers::<3>(4), [all[4], all[5], all[6]]);
+    // A sequence goes on where it was left.
+    let all: Vec<_> = Sample::rays(7, 3, 1, 0..8).map(|sample| sample.numbers).collect();
+    assert_eq!(of(3, 1, 5), all[5..6]);
 }
 
 #[test]
