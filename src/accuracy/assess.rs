@@ -5,17 +5,15 @@
 //! bias from products of independent scrambles, so that it may be far below the noise of a patch.
 
 use super::measure::{Measure, Mesh};
-use super::solver::{FIRST_SEGMENTS, Options, check, pilot_rays, refuse_lack_of_memory};
-use super::transport::{Tally, Transport};
+use super::solver::{Options, check, pilot_rays, refuse_lack_of_memory};
+use super::transport::{FIRST_SEGMENTS, Ground, Tally, Transport};
+use crate::assembly::Order;
 use crate::assembly::rays::Field;
-use crate::assembly::{Order, Rays};
-use crate::direct::Lamps;
-use crate::direct::patches::{Direct, SCRAMBLES};
+use crate::direct::patches::SCRAMBLES;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::solve::Step;
-use crate::visibility::Bvh;
 
 /// Rounds, each of four times the rays of the one before.
 const ROUNDS: usize = 6;
@@ -41,23 +39,17 @@ pub fn assess(scene: &Scene, irradiance: &[f64], options: &Options, progress: &P
     if irradiance.len() != n * bands || irradiance.iter().any(|h| !h.is_finite()) {
         return Err(Error::Invalid(format!("irradiance must hold {n} x {bands} finite numbers")));
     }
-    refuse_lack_of_memory(n, bands, options)?;
-    let (tree, blockers, lamps) = (Bvh::of_scene(scene), Bvh::of_blockers(scene), Lamps::of_scene(scene)?);
-    let mut direct = Direct::new(scene, &lamps, &blockers, 1e-4, seed, FIRST_SEGMENTS, progress)?;
+    let ground = Ground::of_scene(scene)?;
+    refuse_lack_of_memory(n, bands, ground.lamps.lamps.len(), options)?;
+    let mut transport = Transport::new(scene, &ground, 1e-4, seed, progress)?;
     let count = pilot_rays(options.tolerance);
-    let mut operator = Rays::new(Order::Constant, count, scene.areas());
-    {
-        let transport = Transport { scene, tree: &tree, blockers: &blockers, lamps: &lamps, direct: &direct, seed };
-        progress.expect((n * count) as u64);
-        transport.pilot(&mut operator, count, progress)?;
-    }
+    let operator = transport.pilot(Order::Constant, count, progress)?.0.into_rays();
     let mut sizes = [FIRST_SEGMENTS, (count / SCRAMBLES).max(2) as u32, (count / SCRAMBLES / 2).max(1) as u32];
     let (mut round, mut rays) = (1, (n * count) as u64);
     loop {
         let mesh = Mesh { scene, whole: scene, parents: None };
-        let transport = Transport { scene, tree: &tree, blockers: &blockers, lamps: &lamps, direct: &direct, seed };
         let mut arriving = vec![0.0; n * bands];
-        arriving.chunks_exact_mut(bands).enumerate().for_each(|(i, out)| direct.irradiance(i, out));
+        arriving.chunks_exact_mut(bands).enumerate().for_each(|(i, out)| transport.direct.irradiance(i, out));
         let bounced = irradiance.iter().zip(arriving).map(|(h, d)| h - d).collect();
         let field = Field::new(Order::Constant, bands, bounced);
         let mut measure = Measure::new(mesh, Some(&field));
@@ -75,7 +67,7 @@ pub fn assess(scene: &Scene, irradiance: &[f64], options: &Options, progress: &P
         }
         sizes = sizes.map(|size| 4 * size);
         drop(measure);
-        direct.sample(|_| sizes[0], progress)?;
+        transport.direct.sample(|_| sizes[0], progress)?;
         round += 1;
     }
 }

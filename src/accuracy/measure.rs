@@ -1,5 +1,7 @@
 //! From sums over rays to solutions, one for each scramble, and what their spread tells of the error.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use super::plan::{DECAY, Errors};
@@ -15,6 +17,15 @@ use crate::solve::{Audit, Observer, System, propagated};
 const RESIDUAL: f64 = 3e-2;
 /// Numbers in the columns that are followed together.
 const TOGETHER: usize = 1 << 18;
+/// Vectors of them that are alive at a time: those of Krylov, the sums on the way, sources and results.
+const VECTORS: usize = 20;
+
+/// Bytes that following the residuals takes for a while.
+pub(super) fn bytes_to_follow(n: usize, bands: usize) -> u64 {
+    let column = n * bands;
+    let together = (2 * SCRAMBLES * column).min(TOGETHER.max(column));
+    (VECTORS * together * size_of::<f64>()) as u64
+}
 
 /// A mesh that stands for a scene: the scene itself, or its patches cut to pieces.
 #[derive(Clone, Copy)]
@@ -28,14 +39,15 @@ pub(super) struct Mesh<'a> {
 
 impl Mesh<'_> {
     /// Averages over the patches of the whole of values on the mesh, `bands` numbers each.
-    fn averaged(&self, values: Vec<f64>, bands: usize) -> Vec<f64> {
+    fn averaged<'a>(&self, values: impl Into<Cow<'a, [f64]>>, bands: usize) -> Cow<'a, [f64]> {
+        let values = values.into();
         let Some(parents) = self.parents else { return values };
         let mut out = vec![0.0; self.whole.len() * bands];
         for ((row, area), &p) in values.chunks_exact(bands).zip(self.scene.areas()).zip(parents) {
             let share = area / self.whole.areas()[p as usize];
             out[p as usize * bands..][..bands].iter_mut().zip(row).for_each(|(out, x)| *out += share * x);
         }
-        out
+        out.into()
     }
 }
 
@@ -99,14 +111,13 @@ impl<'a> Measure<'a> {
     /// the best m_i is in proportion to (A V_i)^(1 / (p + 1)). Eight scrambles tell V_i roughly, hence the mean is mixed in.
     pub(super) fn shares(&self) -> Vec<f64> {
         let (scene, bands) = (self.mesh.scene, self.bands());
-        let weights = weights(scene);
-        let count = self.base.len() as f64;
-        let variance = |k: usize| {
-            let mean = self.base.iter().map(|x| x[k]).sum::<f64>() / count;
-            self.base.iter().map(|x| (x[k] - mean).powi(2)).sum::<f64>() * weights[k] * weights[k]
-        };
+        if self.base.is_empty() {
+            return Vec::new();
+        }
+        let weight = Weight::new(scene);
+        let variance = mean_and_variance(|s| self.base[s].as_slice().into()).1;
         // Bands of any size count alike.
-        let of_band = |b: usize| (0..scene.len()).map(|i| scene.areas()[i] * variance(i * bands + b)).collect();
+        let of_band = |b: usize| (b..variance.len()).step_by(bands).map(|k| weight.of(k) * variance[k]).collect();
         let variances: Vec<Vec<f64>> = (0..bands).map(of_band).collect();
         let means: Vec<f64> = variances.iter().map(|v| v.iter().sum::<f64>() / v.len() as f64).collect();
         let share = |i: usize| {
@@ -122,34 +133,44 @@ impl<'a> Measure<'a> {
         !self.diverges
     }
 
-    /// Direct irradiance of the patches of the whole, by scramble.
-    fn direct(&self, direct: &Direct) -> Vec<Vec<f64>> {
+    /// Direct irradiance of the patches of the whole by scramble `s`.
+    fn direct(&self, direct: &Direct, s: usize) -> Cow<'static, [f64]> {
         let bands = self.bands();
-        let of_scramble = |s: usize| {
-            let mut out = vec![0.0; self.start.len()];
-            let rows = out.par_chunks_mut(bands).enumerate();
-            rows.for_each(|(i, out)| direct.irradiance_of_scramble(i, s, out));
-            self.mesh.averaged(out, bands)
-        };
-        (0..SCRAMBLES).map(of_scramble).collect()
+        let mut out = vec![0.0; self.start.len()];
+        let rows = out.par_chunks_mut(bands).enumerate();
+        rows.for_each(|(i, out)| direct.irradiance_of_scramble(i, s, out));
+        self.mesh.averaged(out, bands)
+    }
+
+    /// Irradiance of the patches of the whole by scramble `s`.
+    fn solution(&self, direct: &Direct, s: usize, corrected: bool) -> Cow<'static, [f64]> {
+        let mut out = self.start.clone();
+        let parts = [self.base.get(s), self.probe.get(s).filter(|_| corrected)];
+        for part in parts.into_iter().flatten() {
+            out.iter_mut().zip(part).for_each(|(out, x)| *out += x);
+        }
+        let mut out = self.mesh.averaged(out, self.bands()).into_owned();
+        out.iter_mut().zip(self.direct(direct, s).iter()).for_each(|(out, x)| *out += x);
+        out.into()
     }
 
     /// The squared errors of the band with the largest.
     pub(super) fn errors(&self, direct: &Direct) -> Errors {
-        let (whole, bands) = (self.mesh.whole, self.bands());
-        let weights = weights(whole);
-        let direct = self.direct(direct);
-        let mean = self.mean_and_error(&direct, false).0;
-        let average = |x: &Vec<f64>| self.mesh.averaged(x.clone(), bands);
-        let kinds: [Vec<Vec<f64>>; 3] =
-            [direct, self.base.iter().map(average).collect(), self.probe.iter().map(average).collect()];
-        let product = |b: usize, x: &[f64], y: &[f64]| inner_product(whole, &weights, b, x, y);
+        let bands = self.bands();
+        let weight = Weight::new(self.mesh.whole);
+        let light = mean_and_variance(|s| self.solution(direct, s, false)).0;
+        let variance = |by_scramble: &[Vec<f64>]| match by_scramble {
+            [] => None,
+            _ => Some(mean_and_variance(|s| self.mesh.averaged(&by_scramble[s], bands)).1),
+        };
+        let variances =
+            [Some(mean_and_variance(|s| self.direct(direct, s)).1), variance(&self.base), variance(&self.probe)];
+        let probe: Vec<Cow<[f64]>> = self.probe.iter().map(|x| self.mesh.averaged(x, bands)).collect();
         let of_band = |b: usize| {
-            let light = product(b, &mean, &mean);
-            let unit = if light > 0.0 { 1.0 / light } else { 0.0 };
-            let spreads = kinds.each_ref().map(|solutions| Spread::new(solutions, |x, y| unit * product(b, x, y)));
-            let variances = spreads.each_ref().map(|spread| spread.variance);
-            Errors { variances, discretisation: spreads[2].square, doubt: spreads[2].doubt }
+            let unit = weight.unit(b, &light);
+            let total = |x: &Option<Vec<f64>>| x.as_ref().map_or(0.0, |x| unit * weight.sum(b, |k| x[k]));
+            let (discretisation, doubt) = square_of_mean(&probe, |x, y| unit * weight.sum(b, |k| x[k] * y[k]));
+            Errors { variances: variances.each_ref().map(total), discretisation, doubt }
         };
         let size = |errors: &Errors| errors.parts(false).iter().sum::<f64>();
         let none = Errors { variances: [0.0; 3], discretisation: 0.0, doubt: 0.0 };
@@ -159,42 +180,20 @@ impl<'a> Measure<'a> {
     /// The square of what base and probe together add to the field, in units of `irradiance` squared, and the standard error of
     /// that: of the band with the largest.
     pub(super) fn distance(&self, irradiance: &[f64]) -> (f64, f64) {
-        let whole = self.mesh.whole;
-        let weights = weights(whole);
+        let weight = Weight::new(self.mesh.whole);
         let sum = |s: usize| self.base[s].iter().zip(&self.probe[s]).map(|(x, y)| x + y).collect();
-        let both: Vec<Vec<f64>> = (0..self.base.len()).map(sum).collect();
+        let both: Vec<Cow<[f64]>> = (0..self.base.len()).map(sum).collect();
         let of_band = |b: usize| {
-            let light = inner_product(whole, &weights, b, irradiance, irradiance);
-            let unit = if light > 0.0 { 1.0 / light } else { 0.0 };
-            let spread = Spread::new(&both, |x, y| unit * inner_product(whole, &weights, b, x, y));
-            (spread.square, spread.doubt)
+            let unit = weight.unit(b, irradiance);
+            square_of_mean(&both, |x, y| unit * weight.sum(b, |k| x[k] * y[k]))
         };
         (0..self.bands()).map(of_band).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0))
     }
 
     /// Irradiance of the patches of the whole, and its standard error.
     pub(super) fn irradiance(&self, direct: &Direct, corrected: bool) -> (Vec<f64>, Vec<f64>) {
-        self.mean_and_error(&self.direct(direct), corrected)
-    }
-
-    fn mean_and_error(&self, direct: &[Vec<f64>], corrected: bool) -> (Vec<f64>, Vec<f64>) {
-        let bands = self.bands();
-        let solution = |s: usize| {
-            let mut out = self.start.clone();
-            let parts = [self.base.get(s), self.probe.get(s).filter(|_| corrected)];
-            for part in parts.into_iter().flatten() {
-                out.iter_mut().zip(part).for_each(|(out, x)| *out += x);
-            }
-            let mut out = self.mesh.averaged(out, bands);
-            out.iter_mut().zip(&direct[s]).for_each(|(out, x)| *out += x);
-            out
-        };
-        let solutions: Vec<Vec<f64>> = (0..SCRAMBLES).map(solution).collect();
-        let count = SCRAMBLES as f64;
-        let mean: Vec<f64> =
-            (0..solutions[0].len()).map(|k| solutions.iter().map(|x| x[k]).sum::<f64>() / count).collect();
-        let spread = |k: usize| solutions.iter().map(|x| (x[k] - mean[k]).powi(2)).sum::<f64>();
-        let error = (0..mean.len()).map(|k| (spread(k) / (count * (count - 1.0))).sqrt()).collect();
+        let (mean, mut error) = mean_and_variance(|s| self.solution(direct, s, corrected));
+        error.iter_mut().for_each(|variance| *variance = variance.sqrt());
         (mean, error)
     }
 
@@ -205,8 +204,8 @@ impl<'a> Measure<'a> {
         if base.total() == 0 {
             return None;
         }
-        let lost = (0..self.mesh.scene.len()).map(|i| f64::from(base.lost[i]) / base.rays(i) as f64).collect();
-        let lost = self.mesh.averaged(lost, 1);
+        let share = |i: usize| f64::from(base.lost[i]) / base.rays(i) as f64;
+        let lost = self.mesh.averaged((0..self.mesh.scene.len()).map(share).collect::<Vec<f64>>(), 1);
         let (emission, rho) = (whole.emission(), whole.reflectance());
         let total = |value: &dyn Fn(usize, usize) -> f64| {
             let sum = |b| whole.areas().iter().enumerate().map(|(i, area)| area * value(i, i * bands + b)).sum();
@@ -221,43 +220,68 @@ impl<'a> Measure<'a> {
     }
 }
 
-/// What the error of the irradiance counts for: rho, or 1 in a band that nothing reflects.
-fn weights(scene: &Scene) -> Vec<f64> {
-    let bands = scene.bands();
-    let rho = scene.reflectance();
-    let reflects: Vec<bool> = (0..bands).map(|b| rho.iter().skip(b).step_by(bands).any(|rho| *rho > 0.0)).collect();
-    rho.iter().enumerate().map(|(k, rho)| if reflects[k % bands] { *rho } else { 1.0 }).collect()
+/// What errors of the irradiance count for: A rho^2, or A in a band that nothing reflects.
+struct Weight<'a> {
+    scene: &'a Scene,
+    /// Whether anything reflects in a band.
+    reflects: Vec<bool>,
 }
 
-/// sum over i of A_i w_i^2 x_i y_i of one band.
-fn inner_product(scene: &Scene, weights: &[f64], b: usize, x: &[f64], y: &[f64]) -> f64 {
-    let terms = scene.areas().iter().enumerate().map(|(i, area)| (area, i * scene.bands() + b));
-    terms.map(|(area, k)| area * weights[k] * weights[k] * x[k] * y[k]).sum()
-}
-
-/// What independent vectors x_s of one mean tell of it, by their inner products.
-struct Spread {
-    /// Of the mean of all: the sum over its components.
-    variance: f64,
-    /// |E x|^2, without bias.
-    square: f64,
-    /// The standard error of that.
-    doubt: f64,
-}
-
-impl Spread {
-    fn new(x: &[Vec<f64>], product: impl Fn(&[f64], &[f64]) -> f64) -> Spread {
-        let count = x.len() as f64;
-        if x.len() < 2 {
-            return Spread { variance: 0.0, square: 0.0, doubt: 0.0 };
-        }
-        let own = x.iter().map(|x| product(x, x)).sum::<f64>() / count;
-        let pairs = || (1..x.len()).flat_map(|s| (0..s).map(move |t| (s, t)));
-        let products: Vec<f64> = pairs().map(|(s, t)| product(&x[s], &x[t])).collect();
-        let number = products.len() as f64;
-        let square = products.iter().sum::<f64>() / number;
-        // Products of different pairs are uncorrelated where the mean is 0, which is where the doubt matters.
-        let spread = products.iter().map(|p| (p - square).powi(2)).sum::<f64>() / (number - 1.0);
-        Spread { variance: ((own - square) / count).max(0.0), square, doubt: (spread / number).sqrt() }
+impl Weight<'_> {
+    fn new(scene: &Scene) -> Weight<'_> {
+        let bands = scene.bands();
+        let reflects =
+            (0..bands).map(|b| scene.reflectance().iter().skip(b).step_by(bands).any(|rho| *rho > 0.0)).collect();
+        Weight { scene, reflects }
     }
+
+    /// That of number k of n x b.
+    fn of(&self, k: usize) -> f64 {
+        let bands = self.reflects.len();
+        let rho = if self.reflects[k % bands] { self.scene.reflectance()[k] } else { 1.0 };
+        self.scene.areas()[k / bands] * rho * rho
+    }
+
+    /// The weighted sum of `value(k)` over one band.
+    fn sum(&self, b: usize, value: impl Fn(usize) -> f64) -> f64 {
+        (b..self.scene.reflectance().len()).step_by(self.reflects.len()).map(|k| self.of(k) * value(k)).sum()
+    }
+
+    /// One over the weighted square of an irradiance, 0 where there is none.
+    fn unit(&self, b: usize, irradiance: &[f64]) -> f64 {
+        let square = self.sum(b, |k| irradiance[k] * irradiance[k]);
+        if square > 0.0 { 1.0 / square } else { 0.0 }
+    }
+}
+
+/// The mean of what the scrambles say, and its variance, component by component.
+fn mean_and_variance<'a>(of_scramble: impl Fn(usize) -> Cow<'a, [f64]>) -> (Vec<f64>, Vec<f64>) {
+    let count = SCRAMBLES as f64;
+    let mut mean = of_scramble(0).into_owned();
+    for s in 1..SCRAMBLES {
+        mean.iter_mut().zip(of_scramble(s).iter()).for_each(|(mean, x)| *mean += x);
+    }
+    mean.iter_mut().for_each(|mean| *mean /= count);
+    let mut variance = vec![0.0; mean.len()];
+    for s in 0..SCRAMBLES {
+        let x = of_scramble(s);
+        let all = variance.iter_mut().zip(&mean).zip(x.iter());
+        all.for_each(|((variance, mean), x)| *variance += (x - mean) * (x - mean));
+    }
+    variance.iter_mut().for_each(|variance| *variance /= count * (count - 1.0));
+    (mean, variance)
+}
+
+/// |E x|^2 of independent vectors x_s of one mean by their inner products, without bias, and the standard error of that.
+fn square_of_mean(x: &[Cow<[f64]>], product: impl Fn(&[f64], &[f64]) -> f64) -> (f64, f64) {
+    if x.len() < 2 {
+        return (0.0, 0.0);
+    }
+    let pairs = (1..x.len()).flat_map(|s| (0..s).map(move |t| (s, t)));
+    let products: Vec<f64> = pairs.map(|(s, t)| product(&x[s], &x[t])).collect();
+    let number = products.len() as f64;
+    let square = products.iter().sum::<f64>() / number;
+    // Products of different pairs are uncorrelated where the mean is 0, which is where the doubt matters.
+    let spread = products.iter().map(|p| (p - square).powi(2)).sum::<f64>() / (number - 1.0);
+    (square, (spread / number).sqrt())
 }

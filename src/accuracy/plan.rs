@@ -5,9 +5,7 @@
 
 /// Exponent p of the variance m^-p of a mean over m quasi-random rays: errors fall about as m^-0.7.
 pub(super) const DECAY: f64 = 1.4;
-/// A round grows a sample by no more than this: what few rays tell of many is not to be trusted further.
-const MOST_GROWTH: f64 = 16.0;
-/// And by no less, if at all: a round has its own cost.
+/// A round grows a sample by no less, if at all: a round has its own cost.
 const LEAST_GROWTH: f64 = 1.15;
 /// Growth that is not worth a round: [`DECAY`] is not known so well.
 const MET: f64 = 1.05;
@@ -81,10 +79,10 @@ impl Plan {
         self
     }
 
-    /// Sample sizes after it.
-    pub(super) fn grown(&self, sizes: [u32; KINDS]) -> [u32; KINDS] {
+    /// Sample sizes after it, none grown by more than `most`.
+    pub(super) fn grown(&self, sizes: [u32; KINDS], most: f64) -> [u32; KINDS] {
         std::array::from_fn(|t| {
-            let factor = if self.factors[t] > MET { self.factors[t].clamp(LEAST_GROWTH, MOST_GROWTH) } else { 1.0 };
+            let factor = if self.factors[t] > MET { self.factors[t].clamp(LEAST_GROWTH, most) } else { 1.0 };
             let size = f64::from(sizes[t]) * factor;
             size.ceil().min(f64::from(u32::MAX / 64)) as u32
         })

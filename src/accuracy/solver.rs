@@ -2,26 +2,29 @@
 
 use std::time::Instant;
 
-use super::measure::{Measure, Mesh};
+use super::measure::{Measure, Mesh, bytes_to_follow};
 use super::plan::{Plan, cheapest};
-use super::transport::{Tally, Transport};
-use crate::assembly::rays::{BYTES_OF_RAY, Field};
-use crate::assembly::{Order, Rays};
-use crate::direct::Lamps;
-use crate::direct::patches::{Direct, SCRAMBLES};
+use super::transport::{FIRST_SEGMENTS, Ground, Tally, Transport};
+use crate::assembly::rays::{BYTES_OF_TRIP, Field};
+use crate::assembly::{Order, Rays, Trips};
+use crate::direct::patches::{BYTES_OF_VIEW, SCRAMBLES};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::solve::{Audit, Step, System, propagated, without_loss};
-use crate::visibility::Bvh;
 
 /// The share of the tolerance that the estimate may use; the rest is for the estimate's own error.
 const SHARE: f64 = 0.85;
 /// Rounds of sampling on one mesh, and meshes.
 const ROUNDS: usize = 12;
 const MESHES: usize = 8;
-/// Segments that every scramble first sends from a patch towards the lamps.
-pub(super) const FIRST_SEGMENTS: u32 = 4;
+/// A round grows a sample by no more than this: what few rays tell of many is not to be trusted further.
+const MOST_GROWTH: f64 = 16.0;
+/// A forecast is made after so many rounds, and no sample grows by more in one.
+const FORECAST_ROUNDS: usize = 2;
+const FORECAST_GROWTH: f64 = 2.0;
+/// Rounds that a solve takes from there on, about.
+const MORE_ROUNDS: f64 = 2.0;
 /// What a segment costs when it is cast with many others, in rays.
 const SEGMENT_COST: f64 = 0.5;
 /// Of the pilot's solve, relative: what it leaves is measured with its other errors.
@@ -69,6 +72,10 @@ pub struct Outcome {
     pub audit: Option<Audit>,
     /// Stages of the work and the seconds that they took.
     pub seconds: Vec<(&'static str, f64)>,
+    /// Bytes that this takes, by estimate.
+    pub bytes: u64,
+    /// What the tolerance would still have cost, in parts of the rays and segments that were cast: 0 where it is met.
+    pub missing: f64,
 }
 
 impl Outcome {
@@ -87,12 +94,10 @@ pub struct Forecast {
     pub bytes: u64,
 }
 
-/// How work on one mesh ended.
-enum End {
-    Solved(Box<Outcome>),
-    /// Patches must be cut.
-    TooCoarse,
-    Planned(Forecast),
+/// How far the rounds go.
+struct Limits {
+    rounds: usize,
+    growth: f64,
 }
 
 /// Solves a scene.
@@ -100,10 +105,7 @@ enum End {
 /// # Errors
 /// [`Error::Invalid`] for options out of range or a scene without finite solution, [`Error::Memory`], [`Error::Interrupted`].
 pub fn solve(scene: &Scene, options: &Options, progress: &Progress) -> Result<Outcome> {
-    match run(scene, options, false, progress)? {
-        End::Solved(outcome) => Ok(*outcome),
-        End::TooCoarse | End::Planned(_) => Err(Error::Invalid("the solve has not come to an end".to_string())),
-    }
+    run(scene, options, &Limits { rounds: ROUNDS, growth: MOST_GROWTH }, progress)
 }
 
 /// What [`solve`] would take, from its first rounds.
@@ -111,32 +113,33 @@ pub fn solve(scene: &Scene, options: &Options, progress: &Progress) -> Result<Ou
 /// # Errors
 /// Those of [`solve`].
 pub fn forecast(scene: &Scene, options: &Options, progress: &Progress) -> Result<Forecast> {
-    match run(scene, options, true, progress)? {
-        End::Planned(forecast) => Ok(forecast),
-        End::Solved(outcome) => Ok(Forecast {
-            seconds: outcome.seconds.iter().map(|(_, seconds)| seconds).sum(),
-            bytes: bytes(outcome.patches, scene.bands(), options),
-        }),
-        End::TooCoarse => Err(Error::Invalid("the forecast has not come to an end".to_string())),
-    }
+    let outcome = run(scene, options, &Limits { rounds: FORECAST_ROUNDS, growth: FORECAST_GROWTH }, progress)?;
+    let seconds = |stages: &[&str]| -> f64 {
+        outcome.seconds.iter().filter(|(stage, _)| stages.contains(stage)).map(|(_, seconds)| seconds).sum()
+    };
+    let more = outcome.missing * seconds(&["direct", "pilot", "base", "probe"]);
+    let rounds = if outcome.missing > 0.0 { MORE_ROUNDS / FORECAST_ROUNDS as f64 } else { 0.0 };
+    let spent: f64 = outcome.seconds.iter().map(|(_, seconds)| seconds).sum();
+    Ok(Forecast { seconds: spent + more + rounds * seconds(&["bounces", "errors"]), bytes: outcome.bytes })
 }
 
-fn run(scene: &Scene, options: &Options, only_plan: bool, progress: &Progress) -> Result<End> {
+fn run(scene: &Scene, options: &Options, limits: &Limits, progress: &Progress) -> Result<Outcome> {
     check(options)?;
-    let mut seconds = Stages::default();
+    let mut stages = Stages::default();
     let whole = Mesh { scene, whole: scene, parents: None };
-    let mut end = on_mesh(whole, options, only_plan, options.refine, &mut seconds, progress)?;
     let mut max_edge = longest_edge(scene);
-    for mesh in 1..=MESHES {
-        if !matches!(end, End::TooCoarse) {
-            break;
+    let mut outcome = on_mesh(whole, options, limits, options.refine, &mut stages, progress)?;
+    let mut meshes = 0;
+    loop {
+        if let Some(outcome) = outcome {
+            return Ok(Outcome { seconds: stages.0, ..outcome });
         }
+        meshes += 1;
         max_edge *= 0.5;
         let (fine, parents) = scene.subdivide(max_edge, options.memory, progress)?;
         let fine = Mesh { scene: &fine, whole: scene, parents: Some(&parents) };
-        end = on_mesh(fine, options, only_plan, mesh < MESHES, &mut seconds, progress)?;
+        outcome = on_mesh(fine, options, limits, meshes < MESHES, &mut stages, progress)?;
     }
-    Ok(end)
 }
 
 pub(super) fn check(options: &Options) -> Result<()> {
@@ -147,8 +150,8 @@ pub(super) fn check(options: &Options) -> Result<()> {
 }
 
 /// Returns the bytes that are needed.
-pub(super) fn refuse_lack_of_memory(n: usize, bands: usize, options: &Options) -> Result<u64> {
-    let needed = bytes(n, bands, options);
+pub(super) fn refuse_lack_of_memory(n: usize, bands: usize, lamps: usize, options: &Options) -> Result<u64> {
+    let needed = bytes(n, bands, lamps, options);
     if needed <= options.memory {
         return Ok(needed);
     }
@@ -180,10 +183,6 @@ impl Stages {
         }
         out
     }
-
-    fn total(&self) -> f64 {
-        self.0.iter().map(|(_, seconds)| seconds).sum()
-    }
 }
 
 /// Rays of the pilot from each patch: noise of its field is an error of the second order only, and so may be some times the
@@ -192,82 +191,92 @@ pub(super) fn pilot_rays(tolerance: f64) -> usize {
     ((0.6 / tolerance).clamp(16.0, 1024.0) as usize).next_power_of_two()
 }
 
-/// Bytes that a solve on `n` patches takes: the pilot's rays, the sums of base and probe, the two trees, vectors of solutions.
-fn bytes(n: usize, bands: usize, options: &Options) -> u64 {
-    const TREES: u64 = 600;
-    const VECTORS: u64 = 40;
+/// Bytes that a solve on `n` patches lit by so many lamps takes at its peak: the two trees, what every patch sees of the lamps,
+/// the pilot's rays, the field, the sums of base and probe, and what is followed of them.
+fn bytes(n: usize, bands: usize, lamps: usize, options: &Options) -> u64 {
+    const TREES: u64 = 400;
     let values = bands as u64 * size_of::<f64>() as u64;
-    let coefficients = options.order.coefficients() as u64;
-    let pilot = pilot_rays(options.tolerance) as u64 * BYTES_OF_RAY;
-    n as u64 * (TREES + pilot + (2 * SCRAMBLES as u64 + VECTORS) * values + 12 * coefficients * values)
+    let pilot = pilot_rays(options.tolerance) as u64 * BYTES_OF_TRIP;
+    let field = options.order.coefficients() as u64 * values;
+    let by_scramble = 2 * 2 * SCRAMBLES as u64 * values;
+    n as u64 * (TREES + BYTES_OF_VIEW * lamps as u64 + pilot + field + by_scramble) + bytes_to_follow(n, bands)
 }
 
+/// What a solve starts from.
+struct Pilot {
+    /// The operator; `None` where nothing is reflected.
+    operator: Option<Rays>,
+    /// The field; `None` also where it has no end.
+    field: Option<Field>,
+    /// Rays and segments cast.
+    rays: u64,
+    segments: u64,
+    history: Vec<Step>,
+}
+
+impl Pilot {
+    fn new(
+        scene: &Scene,
+        transport: &Transport,
+        options: &Options,
+        stages: &mut Stages,
+        progress: &Progress,
+    ) -> Result<Pilot> {
+        let mut history = Vec::new();
+        if scene.reflectance().iter().all(|rho| *rho == 0.0) {
+            return Ok(Pilot { operator: None, field: None, rays: 0, segments: 0, history });
+        }
+        let count = pilot_rays(options.tolerance);
+        let (trips, source, segments) = stages.time("pilot", || transport.pilot(options.order, count, progress))?;
+        refuse_lossless(scene, trips.rays())?;
+        let field = stages.time("bounces", || first_field(scene, &trips, source, &mut history, progress))?;
+        Ok(Pilot { operator: Some(trips.into_rays()), field, rays: (scene.len() * count) as u64, segments, history })
+    }
+}
+
+/// `None` when the patches of the mesh are too coarse, and may be cut.
 fn on_mesh(
     mesh: Mesh,
     options: &Options,
-    only_plan: bool,
+    limits: &Limits,
     may_cut: bool,
-    seconds: &mut Stages,
+    stages: &mut Stages,
     progress: &Progress,
-) -> Result<End> {
+) -> Result<Option<Outcome>> {
     let scene = mesh.scene;
     let (n, bands) = (scene.len(), scene.bands());
-    let needed = refuse_lack_of_memory(n, bands, options)?;
-    let (tree, blockers) = seconds.time("trees", || {
-        let tree = Bvh::of_scene(scene);
-        let blockers = Bvh::of_blockers(scene);
-        (tree, blockers)
-    });
-    let lamps = Lamps::of_scene(scene)?;
+    let ground = stages.time("trees", || Ground::of_scene(scene))?;
+    let bytes = refuse_lack_of_memory(n, bands, ground.lamps.lamps.len(), options)?;
     let kernels = (0.05 * options.tolerance).clamp(1e-8, 1e-3);
-    let seed = options.seed;
-    let mut direct =
-        seconds.time("direct", || Direct::new(scene, &lamps, &blockers, kernels, seed, FIRST_SEGMENTS, progress))?;
-    let reflects = scene.reflectance().iter().any(|rho| *rho > 0.0);
-    let has_rays = reflects || !lamps.glow.is_empty();
-
-    let count = pilot_rays(options.tolerance);
-    let mut history = Vec::new();
-    let (mut pilot_cost, mut pilot_segments) = (0.0, 0);
-    let mut operator = Rays::new(options.order, if reflects { count } else { 0 }, scene.areas());
-    let mut field = None;
-    if reflects {
-        let transport = Transport { scene, tree: &tree, blockers: &blockers, lamps: &lamps, direct: &direct, seed };
-        progress.expect((n * count) as u64);
-        let (source, segments) = seconds.time("pilot", || transport.pilot(&mut operator, count, progress))?;
-        pilot_segments = segments;
-        pilot_cost = (n * count) as f64 + SEGMENT_COST * segments as f64;
-        refuse_lossless(scene, &operator)?;
-        let values = seconds.time("bounces", || first_field(scene, &operator, &source, &mut history, progress))?;
-        field = values.map(|values| Field::new(options.order, bands, values));
-    }
+    let mut transport = stages.time("direct", || Transport::new(scene, &ground, kernels, options.seed, progress))?;
+    let pilot = Pilot::new(scene, &transport, options, stages, progress)?;
+    let field = pilot.field.as_ref();
     // Without a field the pilot's system has hardly any solution, and neither has the scene.
-    let has_solution = field.is_some() || !reflects;
-    let operator = operator.into_constant();
+    let has_solution = field.is_some() || pilot.operator.is_none();
+    let has_rays = pilot.operator.is_some() || !ground.lamps.glow.is_empty();
 
     let goal = (SHARE * options.tolerance).powi(2);
     let (mut base, mut probe) = (Tally::new(n, bands), Tally::new(n, bands));
-    let first = (count / SCRAMBLES).max(2) as u32;
+    let first = (pilot_rays(options.tolerance) / SCRAMBLES) as u32;
     let mut sizes = [FIRST_SEGMENTS, first, (first / 4).max(1)];
     let mut shares = Vec::new();
-    let mut round = 1;
-    loop {
+    for round in 1.. {
         let of_patch = |i: usize| {
             let share = shares.get(i).copied().unwrap_or(1.0);
             (share * f64::from(sizes[1])).ceil() as u32
         };
-        let transport = Transport { scene, tree: &tree, blockers: &blockers, lamps: &lamps, direct: &direct, seed };
-        let mut measure = Measure::new(mesh, field.as_ref());
+        let mut measure = Measure::new(mesh, field);
         if has_rays {
-            seconds.time("base", || transport.gather(&mut base, field.as_ref(), of_patch, progress))?;
+            stages.time("base", || transport.gather(&mut base, field, of_patch, progress))?;
             let residuals = measure.residuals(&base);
-            if let Some(field) = &field {
-                seconds.time("probe", || transport.probe(&mut probe, field, residuals, |_| sizes[2], progress))?;
+            if let (Some(field), Some(operator)) = (field, &pilot.operator) {
+                stages.time("probe", || transport.probe(&mut probe, field, residuals, |_| sizes[2], progress))?;
                 let mut observe = |_: &Step, _: &[f64], _: &[f64]| progress.advance(0);
-                seconds.time("bounces", || measure.follow(&operator, &probe, &mut observe))?;
+                stages.time("bounces", || measure.follow(operator, &probe, &mut observe))?;
             }
         }
-        let errors = seconds.time("errors", || measure.errors(&direct));
+        let direct = &transport.direct;
+        let errors = stages.time("errors", || measure.errors(direct));
         let costs = [
             SEGMENT_COST * direct.partial_segments() as f64,
             base.total() as f64 + SEGMENT_COST * base.segments as f64,
@@ -275,16 +284,17 @@ fn on_mesh(
         ];
         let plan = cheapest(&errors, &costs, goal, options.refine);
         if plan.is_none() && may_cut {
-            return Ok(End::TooCoarse);
+            break;
         }
         let plan = plan.unwrap_or(Plan::DONE);
-        if plan.is_met() || round == ROUNDS || !has_solution || !measure.is_finite() {
-            let (irradiance, error) = measure.irradiance(&direct, plan.corrected);
+        if plan.is_met() || round == limits.rounds || !has_solution || !measure.is_finite() {
+            let (irradiance, error) = measure.irradiance(direct, plan.corrected);
             let rho = mesh.whole.reflectance();
             let radiosity = mesh.whole.emission().iter().zip(rho).zip(&irradiance).map(|((e, rho), h)| e + rho * h);
             let [sampling, discretisation] = errors.parts(plan.corrected).map(f64::sqrt);
             let is_finite = has_solution && measure.is_finite();
-            return Ok(End::Solved(Box::new(Outcome {
+            let spent = costs.iter().sum::<f64>() + pilot.rays as f64 + SEGMENT_COST * pilot.segments as f64;
+            return Ok(Some(Outcome {
                 radiosity: radiosity.collect(),
                 standard_error: error.iter().zip(rho).map(|(error, rho)| rho * error).collect(),
                 audit: measure.audit(&base, &irradiance),
@@ -293,25 +303,22 @@ fn on_mesh(
                 discretisation_error: discretisation,
                 corrected: plan.corrected,
                 patches: n,
-                rays: (if reflects { n * count } else { 0 }) as u64 + base.total() + 2 * probe.total(),
-                segments: direct.segments + pilot_segments + base.segments + probe.segments,
-                history,
-                seconds: std::mem::take(&mut seconds.0),
-            })));
+                rays: pilot.rays + base.total() + 2 * probe.total(),
+                segments: direct.segments + pilot.segments + base.segments + probe.segments,
+                history: pilot.history,
+                seconds: Vec::new(),
+                bytes,
+                missing: if plan.is_met() { 0.0 } else { plan.extra_cost(&costs) / spent },
+            }));
         }
-        if only_plan {
-            let more = plan.extra_cost(&costs);
-            let spent = costs.iter().sum::<f64>() + pilot_cost;
-            return Ok(End::Planned(Forecast { seconds: seconds.total() * (1.0 + more / spent), bytes: needed }));
-        }
-        sizes = plan.grown(sizes);
+        sizes = plan.grown(sizes, limits.growth);
         if round == 1 {
             shares = measure.shares();
         }
         drop(measure);
-        seconds.time("direct", || direct.sample(|_| sizes[0], progress))?;
-        round += 1;
+        stages.time("direct", || transport.direct.sample(|_| sizes[0], progress))?;
     }
+    Ok(None)
 }
 
 /// Without a loss anywhere the light never dies.
@@ -325,25 +332,28 @@ fn refuse_lossless(scene: &Scene, operator: &Rays) -> Result<()> {
     Ok(())
 }
 
-/// The coefficients of u = T0 (D + u), from the source T0 D; `None` where that has no end.
+/// The field u = T0 (D + u), from the source T0 D; `None` where that has no end. The bounces are followed with constant
+/// radiosity on every patch, and the last of them brings what is linear.
 fn first_field(
     scene: &Scene,
-    operator: &Rays,
-    source: &[f64],
+    trips: &Trips,
+    mut source: Field,
     history: &mut Vec<Step>,
     progress: &Progress,
-) -> Result<Option<Vec<f64>>> {
-    let (bands, count) = (scene.bands(), operator.coefficients());
-    let rows = scene.reflectance().chunks_exact(bands);
-    let rho: Vec<f64> = rows.flat_map(|row| std::iter::repeat_n(row, count)).flatten().copied().collect();
-    let system = System { form_factors: operator, emission: &[], reflectance: &rho, bands };
-    let reflected: Vec<f64> = source.iter().zip(&rho).map(|(h, rho)| rho * h).collect();
+) -> Result<Option<Field>> {
+    let (bands, rho) = (scene.bands(), scene.reflectance());
+    let mut light: Vec<f64> = source.means().iter().zip(rho).map(|(h, rho)| rho * h).collect();
+    let system = System { form_factors: trips.rays(), emission: &[], reflectance: rho, bands };
     let mut observe = |step: &Step, _: &[f64], _: &[f64]| {
         history.push(step.clone());
         progress.advance(0)
     };
-    let Some(mut arriving) = propagated(&system, &[reflected], RESIDUAL, &mut observe)? else { return Ok(None) };
-    let mut field = arriving.swap_remove(0);
-    field.iter_mut().zip(source).for_each(|(u, h)| *u += h);
-    Ok(Some(field))
+    let Some(arriving) = propagated(&system, std::slice::from_ref(&light), RESIDUAL, &mut observe)? else {
+        return Ok(None);
+    };
+    for ((light, h), rho) in light.iter_mut().zip(&arriving[0]).zip(rho) {
+        *light += rho * h;
+    }
+    trips.add_gathered(&light, &mut source);
+    Ok(Some(source))
 }

@@ -5,7 +5,8 @@
 
 use rayon::prelude::*;
 
-use crate::assembly::rays::{Field, Rays, Sample};
+use crate::assembly::rays::{Field, Row, Sample};
+use crate::assembly::{Order, Trips};
 use crate::direct::Lamps;
 use crate::direct::lamp::Point;
 use crate::direct::patches::{Direct, SCRAMBLES};
@@ -16,6 +17,8 @@ use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::visibility::{Bvh, Ray};
 
+/// Segments that every scramble first sends from a patch towards the lamps.
+pub(super) const FIRST_SEGMENTS: u32 = 4;
 /// Patches that are worked on together, and rays.
 const PATCHES: usize = 8;
 const BUNDLE: usize = 1024;
@@ -69,14 +72,26 @@ struct Arrival {
     barycentric: [f64; 2],
 }
 
-/// Everything that light meets on its way.
+/// What light starts from and what it meets.
+pub(super) struct Ground {
+    tree: Bvh,
+    blockers: Bvh,
+    pub(super) lamps: Lamps,
+}
+
+impl Ground {
+    pub(super) fn of_scene(scene: &Scene) -> Result<Ground> {
+        Ok(Ground { tree: Bvh::of_scene(scene), blockers: Bvh::of_blockers(scene), lamps: Lamps::of_scene(scene)? })
+    }
+}
+
+/// Light on its way through a scene.
 pub(super) struct Transport<'a> {
-    pub(super) scene: &'a Scene,
-    pub(super) tree: &'a Bvh,
-    pub(super) blockers: &'a Bvh,
-    pub(super) lamps: &'a Lamps,
-    pub(super) direct: &'a Direct<'a>,
-    pub(super) seed: u64,
+    scene: &'a Scene,
+    ground: &'a Ground,
+    /// What comes straight from the lamps.
+    pub(super) direct: Direct<'a>,
+    seed: u64,
 }
 
 /// Streams of random numbers that have nothing in common.
@@ -90,7 +105,19 @@ const PILOT: usize = 2 * SCRAMBLES;
 const LAMP: usize = 4;
 const NEXT_LAMP: usize = 6;
 
-impl Transport<'_> {
+impl<'a> Transport<'a> {
+    /// With form factors of the lamps to the relative error `kernels`.
+    pub(super) fn new(
+        scene: &'a Scene,
+        ground: &'a Ground,
+        kernels: f64,
+        seed: u64,
+        progress: &Progress,
+    ) -> Result<Transport<'a>> {
+        let direct = Direct::new(scene, &ground.lamps, &ground.blockers, kernels, seed, FIRST_SEGMENTS, progress)?;
+        Ok(Transport { scene, ground, direct, seed })
+    }
+
     fn bands(&self) -> usize {
         self.scene.bands()
     }
@@ -101,7 +128,7 @@ impl Transport<'_> {
             let [s, t, u, v, ..] = sample.numbers;
             let i = sample.patch as usize;
             let origin = point_in_triangle(&self.scene.triangle(i), u, v);
-            Emitter::new(self.scene, self.tree, i).ray(origin, cosine_direction(s, t))
+            Emitter::new(self.scene, &self.ground.tree, i).ray(origin, cosine_direction(s, t))
         };
         self.arrivals((0..samples.len()).collect(), samples.iter().map(ray).collect())
     }
@@ -110,14 +137,14 @@ impl Transport<'_> {
     fn next_arrivals(&self, samples: &[Sample], from: &[Arrival]) -> Vec<Arrival> {
         let ray = |arrival: &Arrival| {
             let [.., s, t, _, _] = samples[arrival.ray].numbers;
-            let emitter = Emitter::new(self.scene, self.tree, arrival.point.patch as usize);
+            let emitter = Emitter::new(self.scene, &self.ground.tree, arrival.point.patch as usize);
             emitter.ray(arrival.point.x, cosine_direction(s, t))
         };
         self.arrivals(from.iter().map(|arrival| arrival.ray).collect(), from.iter().map(ray).collect())
     }
 
     fn arrivals(&self, numbers: Vec<usize>, rays: Vec<Ray>) -> Vec<Arrival> {
-        let hits = self.tree.closest(&rays);
+        let hits = self.ground.tree.closest(&rays);
         let arrived = numbers.into_iter().zip(rays).zip(hits).filter_map(|((number, ray), hit)| {
             let hit = hit?;
             let normal = self.scene.normals()[hit.patch as usize];
@@ -142,12 +169,12 @@ impl Transport<'_> {
             [all[lamp], all[lamp + 1]]
         };
         let in_view = |i: u32, l: usize| self.direct.in_view(i, l);
-        let cast = self.lamps.light(&points, self.blockers, numbers, in_view, out);
+        let cast = self.ground.lamps.light(&points, &self.ground.blockers, numbers, in_view, out);
         for (point, out) in points.iter().zip(out.chunks_exact_mut(bands)) {
             let j = point.patch as usize;
             out.iter_mut().zip(&self.scene.reflectance()[j * bands..]).for_each(|(out, rho)| *out *= rho);
-            if !self.lamps.glow.is_empty() {
-                out.iter_mut().zip(&self.lamps.glow[j * bands..]).for_each(|(out, e)| *out += e);
+            if !self.ground.lamps.glow.is_empty() {
+                out.iter_mut().zip(&self.ground.lamps.glow[j * bands..]).for_each(|(out, e)| *out += e);
             }
         }
         cast
@@ -162,41 +189,34 @@ impl Transport<'_> {
         }
     }
 
-    /// Records the rays of the operator that a solve starts from, and the first light that they bring: its source term.
-    pub(super) fn pilot(&self, rays: &mut Rays, count: usize, progress: &Progress) -> Result<(Vec<f64>, u64)> {
+    /// Rays that a solve starts from, `count` from each patch, and the first light that they bring, T0 D. The third is the
+    /// number of segments cast.
+    pub(super) fn pilot(&self, order: Order, count: usize, progress: &Progress) -> Result<(Trips, Field, u64)> {
         let bands = self.bands();
-        let rows: Result<Vec<(Vec<f64>, u64)>> = rays
-            .rows()
-            .enumerate()
-            .map(|(i, mut row)| {
-                progress.advance(count as u64)?;
-                let samples: Vec<Sample> = Sample::rays(self.seed, i as u32, PILOT, 0..count as u32).collect();
-                let arrivals = self.first_arrivals(&samples);
-                let origin = |k: usize| {
-                    let [_, _, u, v, ..] = samples[k].numbers;
-                    barycentric(u, v)
-                };
-                (0..count).for_each(|k| row.set(k, origin(k), None));
-                for Arrival { ray, point, barycentric } in &arrivals {
-                    row.set(*ray, origin(*ray), Some((point.patch, *barycentric)));
-                }
-                let mut light = vec![0.0; arrivals.len() * bands];
-                let cast = self.first_light(&samples, &arrivals, LAMP, &mut light);
-                let mut values = vec![0.0; count * bands];
-                for (arrival, light) in arrivals.iter().zip(light.chunks_exact(bands)) {
-                    values[arrival.ray * bands..][..bands].copy_from_slice(light);
-                }
-                Ok((values, cast as u64))
-            })
-            .collect();
-        let (values, segments): (Vec<_>, Vec<_>) = rows?.into_iter().unzip();
-        let project = |(i, values): (usize, &Vec<f64>)| {
-            let mut out = vec![0.0; rays.coefficients() * bands];
-            rays.project(i, bands, |k, row| row.copy_from_slice(&values[k * bands..][..bands]), &mut out);
-            out
+        progress.expect((self.scene.len() * count) as u64);
+        let mut trips = Trips::new(order, count, self.scene.areas());
+        let mut source = vec![0.0; self.scene.emission().len() * order.coefficients()];
+        let row = |(i, (mut row, source)): (usize, (Row, &mut [f64]))| {
+            progress.advance(count as u64)?;
+            let samples: Vec<Sample> = Sample::rays(self.seed, i as u32, PILOT, 0..count as u32).collect();
+            let arrivals = self.first_arrivals(&samples);
+            for (k, Sample { numbers: [_, _, u, v, ..], .. }) in samples.iter().enumerate() {
+                row.start(k, barycentric(*u, *v));
+            }
+            let mut light = vec![0.0; arrivals.len() * bands];
+            let cast = self.first_light(&samples, &arrivals, LAMP, &mut light);
+            let mut values = vec![0.0; count * bands];
+            for (arrival, light) in arrivals.iter().zip(light.chunks_exact(bands)) {
+                row.arrive(arrival.ray, arrival.point.patch);
+                values[arrival.ray * bands..][..bands].copy_from_slice(light);
+            }
+            let value = |k: usize, row: &mut [f64]| row.copy_from_slice(&values[k * bands..][..bands]);
+            row.add_projected(bands, value, source);
+            Ok(cast as u64)
         };
-        let source: Vec<Vec<f64>> = values.par_iter().enumerate().map(project).collect();
-        Ok((source.concat(), segments.iter().sum()))
+        let sources = source.par_chunks_mut(order.coefficients() * bands);
+        let segments: Result<Vec<u64>> = trips.rows().zip(sources).enumerate().map(row).collect();
+        Ok((trips, Field::new(order, bands, source), segments?.iter().sum()))
     }
 
     /// Adds to the base tally the rays that it lacks of `wanted(i)` a scramble: what they bring of first light and of `field`.

@@ -18,5 +18,5 @@ pub mod sampled;
 
 pub use dense::{Dense, DenseOptions};
 pub use operator::FormFactors;
-pub use rays::{Order, Rays};
+pub use rays::{Order, Rays, Trips};
 pub use sampled::{Estimator, Sampled, SampledOptions};

@@ -1,20 +1,20 @@
-//! The operator that quasi-random rays make: rows sampled once, constant or linear radiosity on every patch.
+//! The operator that quasi-random rays make, and the linear field that they show of what it gathers.
 //!
 //!   (F B)(x) ~ B(y) at the point y that a cosine-distributed ray from x meets first
 //!
-//! With m rays from points x_k of patch i that arrive at points y_k, the mean of H = F B on the patch and its linear part are
+//! With m rays from points x_k of patch i that arrive on patches j_k, the mean of H = F B on the patch and its linear part are
 //!
-//!   H_i = 1/m sum over k of B(y_k),    H_ic = H_i + 12/m sum over k of (l_c(x_k) - mean l_c) B(y_k)
+//!   H_i = 1/m sum over k of B_jk,    H_ic = H_i + 12/m sum over k of (l_c(x_k) - mean l_c) B_jk
 //!
 //! where l_c, c = 0, 1, 2, are the barycentric coordinates and H_ic the values at the corners of the linear function
 //! that is nearest to H in the mean square: 12 inverts their covariances 1/18 and -1/36 on a triangle. In between
-//! H(y) = sum over c of l_c(y) H_jc (linear finite elements, Zatz 1993, "Galerkin radiosity"; P0 and P1 there and in
-//! what follows). Taking off the mean of l_c makes a constant B give H without a linear part, however few the rays: a
-//! furnace is solved exactly.
+//! H(x) = sum over c of l_c(x) H_jc (linear finite elements, Zatz 1993, "Galerkin radiosity"). Equations are solved for the
+//! means alone; the linear part is read off the last bounce, which is where a patch is most uneven. Taking off the mean
+//! of l_c makes a constant B give H without a linear part, however few the rays: a furnace is solved exactly.
 //!
 //! Rays are Owen-scrambled Sobol points in the four dimensions of origin and direction ([`crate::geometry::sampling`]), each
-//! patch with a scramble of its own, so that the rows are independent. One ray takes 12 bytes: barycentric coordinates are
-//! kept in 16 bits, since this operator is only where a solve starts from ([`crate::accuracy`]).
+//! patch with a scramble of its own, so that the rows are independent. One ray takes 8 bytes, half of them only until the
+//! field is known: origins are kept in 16 bits, since all this is only where a solve starts from ([`crate::accuracy`]).
 
 use std::ops::Range;
 
@@ -75,117 +75,33 @@ fn weights(place: Place) -> [f64; 3] {
     [1.0 - v - w, v, w]
 }
 
-/// Where a ray started and where it arrived.
-#[derive(Debug, Clone, Copy)]
-struct Trip {
-    patch: u32,
-    from: Place,
-    to: Place,
-}
-
-/// The operator. With [`Order::Linear`] its unknowns are the corner values, three a patch.
+/// The operator for radiosity that is constant on every patch.
 #[derive(Debug, Clone)]
 pub struct Rays {
-    order: Order,
-    rays: usize,
-    trips: Vec<Trip>,
+    /// Of each patch.
+    count: usize,
+    /// Where each ray of each patch arrives.
+    arrivals: Vec<u32>,
     areas: Vec<f64>,
 }
 
-/// Bytes of one ray.
-pub const BYTES_OF_RAY: u64 = size_of::<Trip>() as u64;
-
 impl Rays {
-    /// An operator of `rays` rays from each of the patches with these `areas`, all of which are still lost.
-    pub fn new(order: Order, rays: usize, areas: &[f64]) -> Rays {
-        let lost = Trip { patch: NO_PATCH, from: [0; 2], to: [0; 2] };
-        let count = order.coefficients();
-        let areas: Vec<f64> = areas.iter().flat_map(|a| std::iter::repeat_n(a / count as f64, count)).collect();
-        Rays { order, rays, trips: vec![lost; rays * areas.len() / count], areas }
-    }
-
-    /// Coefficients a patch.
-    pub fn coefficients(&self) -> usize {
-        self.order.coefficients()
-    }
-
-    /// Patch after patch, where its rays are to be recorded.
-    pub fn rows(&mut self) -> impl IndexedParallelIterator<Item = Row<'_>> {
-        self.trips.par_chunks_mut(self.rays).map(Row)
-    }
-
-    /// The same rays with constant radiosity on every patch.
-    pub fn into_constant(self) -> Rays {
-        let count = self.order.coefficients();
-        let areas = self.areas.iter().step_by(count).map(|a| a * count as f64).collect();
-        Rays { order: Order::Constant, areas, ..self }
-    }
-
     /// Whether every ray has arrived somewhere.
     pub fn is_closed(&self) -> bool {
-        self.trips.iter().all(|trip| trip.patch != NO_PATCH)
+        !self.arrivals.contains(&NO_PATCH)
     }
 
-    /// out = the coefficients of the function on patch i whose value at the start of ray k is `value(k)`, `bands` numbers each.
-    pub fn project(&self, i: usize, bands: usize, value: impl Fn(usize, &mut [f64]), out: &mut [f64]) {
-        let trips = &self.trips[i * self.rays..][..self.rays];
-        let share = 1.0 / self.rays as f64;
-        let mut row = vec![0.0; bands];
-        out.fill(0.0);
-        if self.order == Order::Constant {
-            for k in 0..self.rays {
-                value(k, &mut row);
-                add_scaled(share, &row, out);
-            }
-            return;
-        }
-        let mut centre = [0.0; 3];
-        let mut mean = vec![0.0; bands];
-        for (k, trip) in trips.iter().enumerate() {
-            let l = weights(trip.from);
-            row.fill(0.0);
-            value(k, &mut row);
-            for c in 0..3 {
-                centre[c] += share * l[c];
-                add_scaled(share * l[c], &row, &mut out[c * bands..][..bands]);
-            }
-            add_scaled(share, &row, &mut mean);
-        }
-        for c in 0..3 {
-            for b in 0..bands {
-                let out = &mut out[c * bands + b];
-                *out = mean[b] + 12.0 * (*out - centre[c] * mean[b]);
-            }
-        }
+    fn row_of(&self, i: usize) -> &[u32] {
+        &self.arrivals[i * self.count..][..self.count]
     }
 
-    /// Calls `visit(j, F_ij)` for every ray of the coefficient i; coefficients may come more than once.
-    fn for_each_entry(&self, i: usize, mut visit: impl FnMut(usize, f64)) {
-        let count = self.order.coefficients();
-        let trips = &self.trips[i / count * self.rays..][..self.rays];
-        let share = 1.0 / self.rays as f64;
-        let centre = share * trips.iter().map(|trip| weights(trip.from)[i % count]).sum::<f64>();
-        for trip in trips.iter().filter(|trip| trip.patch != NO_PATCH) {
-            match self.order {
-                Order::Constant => visit(trip.patch as usize, share),
-                Order::Linear => {
-                    let f = share * (1.0 + 12.0 * (weights(trip.from)[i % 3] - centre));
-                    let to = weights(trip.to);
-                    (0..3).for_each(|c| visit(3 * trip.patch as usize + c, f * to[c]));
-                }
-            }
-        }
+    /// Calls `visit(j)` for every ray of patch i that arrives; each counts for 1 / m.
+    fn for_each_arrival(&self, i: usize, visit: impl FnMut(usize)) {
+        self.row_of(i).iter().filter(|j| **j != NO_PATCH).map(|j| *j as usize).for_each(visit);
     }
-}
 
-/// The rays of one patch.
-pub struct Row<'a>(&'a mut [Trip]);
-
-impl Row<'_> {
-    /// Records where ray k started and, unless nobody receives it, where it arrived.
-    pub fn set(&mut self, k: usize, from: [f64; 2], arrival: Option<(u32, [f64; 2])>) {
-        let (patch, to) = arrival.unwrap_or((NO_PATCH, [0.0; 2]));
-        self.0[k] = Trip { patch, from: packed(from), to: packed(to) };
+    fn share(&self) -> f64 {
+        1.0 / self.count as f64
     }
 }
 
@@ -201,53 +117,131 @@ impl FormFactors for Rays {
     fn gather(&self, i: usize, x: &[f64], out: &mut [f64]) {
         let bands = out.len();
         out.fill(0.0);
-        self.for_each_entry(i, |j, f| add_scaled(f, &x[j * bands..][..bands], out));
+        self.for_each_arrival(i, |j| add_scaled(1.0, &x[j * bands..][..bands], out));
+        let share = self.share();
+        out.iter_mut().for_each(|out| *out *= share);
     }
 
     fn shoot(&self, i: usize, amount: &[f64], out: &mut [f64]) {
         for (k, out) in out.chunks_exact_mut(amount.len()).enumerate() {
-            self.for_each_entry(k, |j, f| {
-                if j == i {
-                    add_scaled(f, amount, out);
-                }
-            });
+            let hits = self.row_of(k).iter().filter(|j| **j as usize == i).count();
+            add_scaled(hits as f64 * self.share(), amount, out);
         }
     }
 
     fn apply(&self, x: &[f64], bands: usize, out: &mut [f64]) {
-        let count = self.order.coefficients();
-        let value = |trip: &Trip, row: &mut [f64]| {
-            if trip.patch == NO_PATCH {
-                return;
-            }
-            let from = &x[trip.patch as usize * count * bands..][..count * bands];
-            match self.order {
-                Order::Constant => add_scaled(1.0, from, row),
-                Order::Linear => {
-                    let to = weights(trip.to);
-                    (0..3).for_each(|c| add_scaled(to[c], &from[c * bands..][..bands], row));
-                }
-            }
-        };
-        out.par_chunks_mut(count * bands).with_min_len(64).enumerate().for_each(|(i, out)| {
-            let trips = &self.trips[i * self.rays..][..self.rays];
-            if self.order == Order::Constant {
-                out.fill(0.0);
-                trips.iter().for_each(|trip| value(trip, out));
-                out.iter_mut().for_each(|out| *out /= self.rays as f64);
-            } else {
-                self.project(i, bands, |k, row| value(&trips[k], row), out);
-            }
-        });
+        let rows = out.par_chunks_mut(bands).with_min_len(64).enumerate();
+        rows.for_each(|(i, out)| self.gather(i, x, out));
     }
 
     fn row(&self, i: usize, out: &mut [f64]) {
         out.fill(0.0);
-        self.for_each_entry(i, |j, f| out[j] += f);
+        self.for_each_arrival(i, |j| out[j] += self.share());
     }
 
     fn nbytes(&self) -> usize {
-        size_of_val(self.trips.as_slice()) + size_of_val(self.areas.as_slice())
+        size_of_val(self.arrivals.as_slice()) + size_of_val(self.areas.as_slice())
+    }
+}
+
+/// Rays of which is also known where on their patches they started.
+#[derive(Debug, Clone)]
+pub struct Trips {
+    order: Order,
+    rays: Rays,
+    origins: Vec<Place>,
+}
+
+/// Bytes of one trip.
+pub const BYTES_OF_TRIP: u64 = (size_of::<u32>() + size_of::<Place>()) as u64;
+
+impl Trips {
+    /// `count` rays from each of the patches with these `areas`, all of which are still lost.
+    pub fn new(order: Order, count: usize, areas: &[f64]) -> Trips {
+        let arrivals = vec![NO_PATCH; count * areas.len()];
+        let origins = vec![[0; 2]; arrivals.len()];
+        Trips { order, rays: Rays { count, arrivals, areas: areas.to_vec() }, origins }
+    }
+
+    /// Patch after patch, where its rays are to be recorded.
+    pub fn rows(&mut self) -> impl IndexedParallelIterator<Item = Row<'_>> {
+        let (order, count) = (self.order, self.rays.count);
+        let rows = self.rays.arrivals.par_chunks_mut(count).zip(self.origins.par_chunks_mut(count));
+        rows.map(move |(arrivals, origins)| Row { order, arrivals, origins })
+    }
+
+    /// The operator.
+    pub fn rays(&self) -> &Rays {
+        &self.rays
+    }
+
+    /// The operator, without the places.
+    pub fn into_rays(self) -> Rays {
+        self.rays
+    }
+
+    /// Adds F B to a field of the same order, from a radiosity B that is constant on every patch, n x b.
+    pub fn add_gathered(&self, radiosity: &[f64], field: &mut Field) {
+        let bands = field.bands;
+        let rows = field.values.par_chunks_mut(self.order.coefficients() * bands).enumerate();
+        rows.for_each(|(i, out)| {
+            let arrivals = self.rays.row_of(i);
+            let value = |k: usize, row: &mut [f64]| {
+                if arrivals[k] != NO_PATCH {
+                    add_scaled(1.0, &radiosity[arrivals[k] as usize * bands..][..bands], row);
+                }
+            };
+            add_projected(self.order, &self.origins[i * arrivals.len()..][..arrivals.len()], bands, value, out);
+        });
+    }
+}
+
+/// The rays of one patch.
+pub struct Row<'a> {
+    order: Order,
+    arrivals: &'a mut [u32],
+    origins: &'a mut [Place],
+}
+
+impl Row<'_> {
+    /// Records where ray k started.
+    pub fn start(&mut self, k: usize, barycentric: [f64; 2]) {
+        self.origins[k] = packed(barycentric);
+    }
+
+    /// Records the patch where ray k arrived.
+    pub fn arrive(&mut self, k: usize, patch: u32) {
+        self.arrivals[k] = patch;
+    }
+
+    /// Adds to the coefficients `out` those of the function on the patch whose value at the start of ray k is what `value(k)`
+    /// adds to `bands` times 0.
+    pub fn add_projected(&self, bands: usize, value: impl Fn(usize, &mut [f64]), out: &mut [f64]) {
+        add_projected(self.order, self.origins, bands, value, out);
+    }
+}
+
+fn add_projected(order: Order, origins: &[Place], bands: usize, value: impl Fn(usize, &mut [f64]), out: &mut [f64]) {
+    let share = 1.0 / origins.len() as f64;
+    // Sums of l_c and of l_c times the value, and the mean.
+    let (mut centre, mut moments) = ([0.0; 3], vec![0.0; 3 * bands]);
+    let (mut row, mut mean) = (vec![0.0; bands], vec![0.0; bands]);
+    for (k, origin) in origins.iter().enumerate() {
+        row.fill(0.0);
+        value(k, &mut row);
+        add_scaled(share, &row, &mut mean);
+        if order == Order::Linear {
+            let l = weights(*origin);
+            for c in 0..3 {
+                centre[c] += share * l[c];
+                add_scaled(share * l[c], &row, &mut moments[c * bands..][..bands]);
+            }
+        }
+    }
+    for c in 0..order.coefficients() {
+        for b in 0..bands {
+            out[c * bands + b] += mean[b] + 12.0 * (moments[c * bands + b] - centre[c] * mean[b]);
+        }
     }
 }
 
@@ -260,7 +254,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// The function with these coefficients, in the order of [`Rays`].
+    /// The function with these coefficients: for every patch, its corners one after the other, or its mean.
     pub fn new(order: Order, bands: usize, values: Vec<f64>) -> Field {
         Field { order, bands, values }
     }

@@ -43,6 +43,9 @@ struct View {
     seen: [Seen; SCRAMBLES],
 }
 
+/// Bytes of what a patch knows of one lamp, with its share of the list.
+pub const BYTES_OF_VIEW: u64 = (size_of::<View>() + size_of::<Vec<View>>()) as u64;
+
 impl View {
     /// The visible fraction by all segments.
     fn fraction(&self) -> f64 {
@@ -110,6 +113,7 @@ impl<'a> Direct<'a> {
                     (form_factor > 0.0).then_some(View { lamp: l as u32, form_factor, segments: 0, share: 0.0, seen })
                 });
                 let mut views: Vec<View> = views.collect();
+                views.shrink_to_fit();
                 let power = |view: &View| view.form_factor * lamps.power(view.lamp as usize);
                 let total: f64 = views.iter().map(power).sum();
                 views.iter_mut().for_each(|view| view.share = power(view) / total);

@@ -3,7 +3,7 @@
 use radiosity::Progress;
 use radiosity::accuracy::{Options, solve};
 use radiosity::assembly::rays::{Field, Sample};
-use radiosity::assembly::{FormFactors, Order, Rays};
+use radiosity::assembly::{FormFactors, Order, Trips};
 use radiosity::scene::Sides;
 
 use rayon::prelude::*;
@@ -40,50 +40,61 @@ fn fields_are_linear_between_corners() {
     assert_eq!(field.means(), vec![3.0]);
 }
 
-/// An operator of 16 rays from each of 5 patches, with ends made up at random; one ray in eight is lost.
-fn made_up(order: Order) -> Rays {
+/// 16 rays from each of 5 patches, with ends made up at random; one ray in eight is lost.
+fn made_up(order: Order) -> Trips {
     let random = Random::new(11);
-    let mut rays = Rays::new(order, 16, &[1.0, 2.0, 3.0, 4.0, 5.0]);
+    let mut trips = Trips::new(order, 16, &[1.0, 2.0, 3.0, 4.0, 5.0]);
     let place = || {
         let (v, w) = (random.uniform(), random.uniform());
         if v + w < 1.0 { [v, w] } else { [1.0 - v, 1.0 - w] }
     };
-    let ends: Vec<_> = (0..80).map(|k| (place(), (k % 8 > 0).then(|| (random.below(5) as u32, place())))).collect();
-    rays.rows().enumerate().for_each(|(i, mut row)| {
-        (0..16).for_each(|k| row.set(k, ends[16 * i + k].0, ends[16 * i + k].1));
+    let ends: Vec<_> = (0..80).map(|_| (place(), random.below(5) as u32)).collect();
+    trips.rows().enumerate().for_each(|(i, mut row)| {
+        for k in 0..16 {
+            row.start(k, ends[16 * i + k].0);
+            if k % 8 > 0 {
+                row.arrive(k, ends[16 * i + k].1);
+            }
+        }
     });
-    rays
+    trips
 }
 
 #[test]
 fn gather_row_shoot_and_apply_are_one_matrix() {
-    for order in [Order::Constant, Order::Linear] {
-        let rays = made_up(order);
-        let n = rays.len();
-        assert_eq!(n, 5 * order.coefficients());
-        let random = Random::new(2);
-        let x: Vec<f64> = (0..2 * n).map(|_| random.between(-1.0, 1.0)).collect();
-        let matrix = table(&rays);
-        let mut applied = vec![0.0; 2 * n];
-        rays.apply(&x, 2, &mut applied);
-        for i in 0..n {
-            let mut gathered = [0.0; 2];
-            rays.gather(i, &x, &mut gathered);
-            let mut shot = vec![0.0; 2 * n];
-            rays.shoot(i, &[1.0, -2.0], &mut shot);
-            for b in 0..2 {
-                let product: f64 = (0..n).map(|j| matrix[i * n + j] * x[2 * j + b]).sum();
-                // Sums of 48 numbers of the size of 1 in another order.
-                assert_close(gathered[b], product, 1e-13);
-                assert_close(applied[2 * i + b], product, 1e-13);
-                for j in 0..n {
-                    assert_close(shot[2 * j + b], matrix[j * n + i] * [1.0, -2.0][b], 1e-13);
-                }
+    let trips = made_up(Order::Linear);
+    let rays = trips.rays();
+    let n = rays.len();
+    assert_eq!(n, 5);
+    let random = Random::new(2);
+    let x: Vec<f64> = (0..2 * n).map(|_| random.between(-1.0, 1.0)).collect();
+    let matrix = table(rays);
+    let mut applied = vec![0.0; 2 * n];
+    rays.apply(&x, 2, &mut applied);
+    for i in 0..n {
+        let mut gathered = [0.0; 2];
+        rays.gather(i, &x, &mut gathered);
+        let mut shot = vec![0.0; 2 * n];
+        rays.shoot(i, &[1.0, -2.0], &mut shot);
+        for b in 0..2 {
+            let product: f64 = (0..n).map(|j| matrix[i * n + j] * x[2 * j + b]).sum();
+            // Sums of 16 numbers of the size of 1 in another order.
+            assert_close(gathered[b], product, 1e-13);
+            assert_close(applied[2 * i + b], product, 1e-13);
+            for j in 0..n {
+                assert_close(shot[2 * j + b], matrix[j * n + i] * [1.0, -2.0][b], 1e-13);
             }
         }
-        let areas: f64 = rays.areas().unwrap().iter().sum();
-        assert_close(areas, 15.0, 1e-13);
-        assert!(!rays.is_closed());
+    }
+    let areas: f64 = rays.areas().unwrap().iter().sum();
+    assert_close(areas, 15.0, 1e-13);
+    assert!(!rays.is_closed());
+    // Its linear field has the same means, and so has the constant one. Rounding again.
+    for order in [Order::Constant, Order::Linear] {
+        let trips = made_up(order);
+        let mut field = Field::new(order, 2, vec![1.0; 2 * n * order.coefficients()]);
+        trips.add_gathered(&x, &mut field);
+        field.means().iter().zip(&applied).for_each(|(mean, h)| assert_close(*mean, 1.0 + h, 1e-13));
     }
 }
 
@@ -100,14 +111,22 @@ fn projections_keep_constants_and_lines() {
             }
         }
     }
-    let mut rays = Rays::new(Order::Linear, grid.len(), &[1.0]);
-    rays.rows().for_each(|mut row| grid.iter().enumerate().for_each(|(k, place)| row.set(k, *place, None)));
-    let mut corners = [0.0; 3];
-    rays.project(0, 1, |_, out| out[0] = 7.0, &mut corners);
+    let mut trips = Trips::new(Order::Linear, grid.len(), &[1.0]);
+    // The values at the corners of the function whose value at the start of ray k is `value(k)`.
+    let mut projected = |value: &(dyn Fn(usize) -> f64 + Sync)| {
+        let rows = trips.rows().map(|mut row| {
+            let mut corners = [0.0; 3];
+            grid.iter().enumerate().for_each(|(k, place)| row.start(k, *place));
+            row.add_projected(1, |k, out| out[0] += value(k), &mut corners);
+            corners
+        });
+        rows.collect::<Vec<_>>()[0]
+    };
+    let corners = projected(&|_| 7.0);
     // Rounding of sums of 4096 numbers.
     corners.iter().for_each(|c| assert_close(*c, 7.0, 1e-11));
     // 2 + 3 l_1 - 4 l_2; places are kept in 16 bits, finer than the grid.
-    rays.project(0, 1, |k, out| out[0] = 2.0 + 3.0 * grid[k][0] - 4.0 * grid[k][1], &mut corners);
+    let corners = projected(&|k| 2.0 + 3.0 * grid[k][0] - 4.0 * grid[k][1]);
     for (c, exact) in corners.iter().zip([2.0, 5.0, -2.0]) {
         assert_close(*c, exact, 4.0 / 4096.0);
     }
