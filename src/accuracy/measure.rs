@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 use super::plan::{DECAY, Errors};
+use super::statistics::{Unit, Weight, mean_and_error, spread_of_square, square_of_mean};
 use super::transport::Tally;
 use crate::assembly::Rays;
 use crate::assembly::rays::Field;
@@ -115,9 +116,12 @@ impl<'a> Measure<'a> {
             return Vec::new();
         }
         let weight = Weight::new(scene);
-        let variance = mean_and_variance(|s| self.base[s].as_slice().into()).1;
+        let error = mean_and_error(|s| self.base[s].as_slice().into()).1;
         // Bands of any size count alike.
-        let of_band = |b: usize| (b..variance.len()).step_by(bands).map(|k| weight.of(k) * variance[k]).collect();
+        let of_band = |b: usize| {
+            let unit = error.iter().skip(b).step_by(bands).fold(f64::MIN_POSITIVE, |peak, x| peak.max(*x));
+            (b..error.len()).step_by(bands).map(|k| weight.of(k) * (error[k] / unit).powi(2)).collect()
+        };
         let variances: Vec<Vec<f64>> = (0..bands).map(of_band).collect();
         let means: Vec<f64> = variances.iter().map(|v| v.iter().sum::<f64>() / v.len() as f64).collect();
         let share = |i: usize| {
@@ -158,22 +162,26 @@ impl<'a> Measure<'a> {
     pub(super) fn errors(&self, direct: &Direct) -> Errors {
         let bands = self.bands();
         let weight = Weight::new(self.mesh.whole);
-        let light = mean_and_variance(|s| self.solution(direct, s, false)).0;
-        let variance = |by_scramble: &[Vec<f64>]| match by_scramble {
+        let mut solutions: Vec<Cow<[f64]>> = (0..SCRAMBLES).map(|s| self.solution(direct, s, false)).collect();
+        let light = mean_and_error(|s| solutions[s].as_ref().into()).0;
+        let error = |by_scramble: &[Vec<f64>]| match by_scramble {
             [] => None,
-            _ => Some(mean_and_variance(|s| self.mesh.averaged(&by_scramble[s], bands)).1),
+            _ => Some(mean_and_error(|s| self.mesh.averaged(&by_scramble[s], bands)).1),
         };
-        let variances =
-            [Some(mean_and_variance(|s| self.direct(direct, s)).1), variance(&self.base), variance(&self.probe)];
+        let errors = [Some(mean_and_error(|s| self.direct(direct, s)).1), error(&self.base), error(&self.probe)];
         let probe: Vec<Cow<[f64]>> = self.probe.iter().map(|x| self.mesh.averaged(x, bands)).collect();
+        for solution in &mut solutions {
+            solution.to_mut().iter_mut().zip(&light).for_each(|(x, mean)| *x -= mean);
+        }
         let of_band = |b: usize| {
-            let unit = weight.unit(b, &light);
-            let total = |x: &Option<Vec<f64>>| x.as_ref().map_or(0.0, |x| unit * weight.sum(b, |k| x[k]));
-            let (discretisation, doubt) = square_of_mean(&probe, |x, y| unit * weight.sum(b, |k| x[k] * y[k]));
-            Errors { variances: variances.each_ref().map(total), discretisation, doubt }
+            let unit = Unit::new(&weight, b, &light);
+            let total = |x: &Option<Vec<f64>>| x.as_ref().map_or(0.0, |x| unit.product(x, x));
+            let (discretisation, doubt) = square_of_mean(&probe, |x, y| unit.product(x, y));
+            let spread = spread_of_square(&solutions, |x, y| unit.product(x, y));
+            Errors { variances: errors.each_ref().map(total), spread, discretisation, doubt }
         };
         let size = |errors: &Errors| errors.parts(false).iter().sum::<f64>();
-        let none = Errors { variances: [0.0; 3], discretisation: 0.0, doubt: 0.0 };
+        let none = Errors { variances: [0.0; 3], spread: 0.0, discretisation: 0.0, doubt: 0.0 };
         (0..bands).map(of_band).max_by(|a, b| size(a).total_cmp(&size(b))).unwrap_or(none)
     }
 
@@ -184,17 +192,15 @@ impl<'a> Measure<'a> {
         let sum = |s: usize| self.base[s].iter().zip(&self.probe[s]).map(|(x, y)| x + y).collect();
         let both: Vec<Cow<[f64]>> = (0..self.base.len()).map(sum).collect();
         let of_band = |b: usize| {
-            let unit = weight.unit(b, irradiance);
-            square_of_mean(&both, |x, y| unit * weight.sum(b, |k| x[k] * y[k]))
+            let unit = Unit::new(&weight, b, irradiance);
+            square_of_mean(&both, |x, y| unit.product(x, y))
         };
         (0..self.bands()).map(of_band).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0.0))
     }
 
     /// Irradiance of the patches of the whole, and its standard error.
     pub(super) fn irradiance(&self, direct: &Direct, corrected: bool) -> (Vec<f64>, Vec<f64>) {
-        let (mean, mut error) = mean_and_variance(|s| self.solution(direct, s, corrected));
-        error.iter_mut().for_each(|variance| *variance = variance.sqrt());
-        (mean, error)
+        mean_and_error(|s| self.solution(direct, s, corrected))
     }
 
     /// Where the power goes for the irradiance H of the patches of the whole. What leaves the scene is what base rays have found
@@ -218,70 +224,4 @@ impl<'a> Measure<'a> {
             unshot: vec![0.0; bands],
         })
     }
-}
-
-/// What errors of the irradiance count for: A rho^2, or A in a band that nothing reflects.
-struct Weight<'a> {
-    scene: &'a Scene,
-    /// Whether anything reflects in a band.
-    reflects: Vec<bool>,
-}
-
-impl Weight<'_> {
-    fn new(scene: &Scene) -> Weight<'_> {
-        let bands = scene.bands();
-        let reflects =
-            (0..bands).map(|b| scene.reflectance().iter().skip(b).step_by(bands).any(|rho| *rho > 0.0)).collect();
-        Weight { scene, reflects }
-    }
-
-    /// That of number k of n x b.
-    fn of(&self, k: usize) -> f64 {
-        let bands = self.reflects.len();
-        let rho = if self.reflects[k % bands] { self.scene.reflectance()[k] } else { 1.0 };
-        self.scene.areas()[k / bands] * rho * rho
-    }
-
-    /// The weighted sum of `value(k)` over one band.
-    fn sum(&self, b: usize, value: impl Fn(usize) -> f64) -> f64 {
-        (b..self.scene.reflectance().len()).step_by(self.reflects.len()).map(|k| self.of(k) * value(k)).sum()
-    }
-
-    /// One over the weighted square of an irradiance, 0 where there is none.
-    fn unit(&self, b: usize, irradiance: &[f64]) -> f64 {
-        let square = self.sum(b, |k| irradiance[k] * irradiance[k]);
-        if square > 0.0 { 1.0 / square } else { 0.0 }
-    }
-}
-
-/// The mean of what the scrambles say, and its variance, component by component.
-fn mean_and_variance<'a>(of_scramble: impl Fn(usize) -> Cow<'a, [f64]>) -> (Vec<f64>, Vec<f64>) {
-    let count = SCRAMBLES as f64;
-    let mut mean = of_scramble(0).into_owned();
-    for s in 1..SCRAMBLES {
-        mean.iter_mut().zip(of_scramble(s).iter()).for_each(|(mean, x)| *mean += x);
-    }
-    mean.iter_mut().for_each(|mean| *mean /= count);
-    let mut variance = vec![0.0; mean.len()];
-    for s in 0..SCRAMBLES {
-        let x = of_scramble(s);
-        let all = variance.iter_mut().zip(&mean).zip(x.iter());
-        all.for_each(|((variance, mean), x)| *variance += (x - mean) * (x - mean));
-    }
-    variance.iter_mut().for_each(|variance| *variance /= count * (count - 1.0));
-    (mean, variance)
-}
-
-/// |E x|^2 of independent vectors x_s of one mean by their inner products, without bias, and the standard error of that.
-fn square_of_mean(x: &[Cow<[f64]>], product: impl Fn(&[f64], &[f64]) -> f64) -> (f64, f64) {
-    if x.len() < 2 {
-        return (0.0, 0.0);
-    }
-    let pairs = (1..x.len()).flat_map(|s| (0..s).map(move |t| (s, t)));
-    let products: Vec<f64> = pairs.map(|(s, t)| product(&x[s], &x[t])).collect();
-    let number = products.len() as f64;
-    let square = products.iter().sum::<f64>() / number;
-    // Products of different pairs are uncorrelated where the mean is 0, which is where the doubt matters.
-    let spread = products.iter().map(|p| (p - square).powi(2)).sum::<f64>() / (number - 1.0);
-    (square, (spread / number).sqrt())
 }

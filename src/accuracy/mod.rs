@@ -30,6 +30,7 @@
 //!
 //! - [`transport`]: rays and their sums
 //! - [`measure`]: solutions by scramble, and what their spread tells
+//! - [`statistics`]: errors from independent samples
 //! - [`plan`]: how many rays of which kind
 //! - [`solver`]: the rounds
 //! - [`mod@assess`]: the true error of a solution that came from elsewhere
@@ -38,6 +39,7 @@ pub mod assess;
 mod measure;
 mod plan;
 mod solver;
+mod statistics;
 mod transport;
 
 pub use assess::{Assessment, assess};

@@ -15,6 +15,8 @@ const SURE: f64 = 4.0;
 const PROBE_GROWTH: f64 = 2.0;
 /// How much of the discretisation error is left, at most, when light is followed one bounce further.
 const LEFT: f64 = 0.35;
+/// The sampling is to meet its goal even if its squared error comes out so many standard deviations above its mean.
+const CARE: f64 = 2.5;
 /// Share of the squared goal that the doubt about the discretisation error may take.
 const DOUBT: f64 = 0.3;
 /// Share of it that must be left for sampling.
@@ -30,6 +32,8 @@ const PROBE: usize = 2;
 pub(super) struct Errors {
     /// Of the sampling, by kind; the probe's counts only when it is added to the answer.
     pub(super) variances: [f64; KINDS],
+    /// The standard deviation of the squared error of sampling, in units of its mean: large where few patches have most of it.
+    pub(super) spread: f64,
     /// The discretisation error: an estimate without bias, which may be negative.
     pub(super) discretisation: f64,
     /// The standard error of that estimate.
@@ -92,10 +96,11 @@ impl Plan {
 /// The cheapest way to bring the squared error down to `goal`; `None` when the patches are too coarse for any.
 pub(super) fn cheapest(errors: &Errors, costs: &[f64; KINDS], goal: f64, refine: bool) -> Option<Plan> {
     let (known, doubt) = (errors.discretisation.max(0.0), errors.doubt);
+    let variances = errors.variances.map(|variance| variance * (1.0 + CARE * errors.spread));
     let reserve = 0.5 * doubt.min(DOUBT * goal);
     // Without correction: the sampling down to `left`, and the doubt to its share of `whole`.
     let uncorrected = |left: f64, whole: f64| {
-        let mut factors = growth(&errors.variances, costs, left, &[0, BASE]);
+        let mut factors = growth(&variances, costs, left, &[0, BASE]);
         factors[PROBE] = (doubt / (DOUBT * whole)).max(1.0).powf(1.0 / DECAY);
         Plan { factors, corrected: false }.with_base(costs)
     };
@@ -120,7 +125,7 @@ pub(super) fn cheapest(errors: &Errors, costs: &[f64; KINDS], goal: f64, refine:
     }
     let left = goal - LEFT * LEFT * (known + doubt);
     let corrected = (left >= LEAST * goal).then(|| {
-        let factors = growth(&errors.variances, costs, left, &[0, BASE, PROBE]);
+        let factors = growth(&variances, costs, left, &[0, BASE, PROBE]);
         Plan { factors, corrected: true }
     });
     cheaper([plain, corrected])

@@ -13,8 +13,8 @@ use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::solve::{Audit, Step, System, propagated, without_loss};
 
-/// The share of the tolerance that the estimate may use; the rest is for the estimate's own error.
-const SHARE: f64 = 0.85;
+/// The share of the tolerance that is planned for; the rest is for what plans do not see.
+const SHARE: f64 = 0.95;
 /// Rounds of sampling on one mesh, and meshes.
 const ROUNDS: usize = 12;
 const MESHES: usize = 8;

@@ -18,7 +18,7 @@ use crate::scene::Scene;
 use crate::visibility::{Bvh, Ray};
 
 /// Segments that every scramble first sends from a patch towards the lamps.
-pub(super) const FIRST_SEGMENTS: u32 = 4;
+pub(super) const FIRST_SEGMENTS: u32 = 8;
 /// Patches that are worked on together, and rays.
 const PATCHES: usize = 8;
 const BUNDLE: usize = 1024;

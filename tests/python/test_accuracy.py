@@ -3,7 +3,9 @@
 The contract, true error against asked tolerance, stands in `test_references.py`.
 """
 
+import subprocess
 import sys
+import textwrap
 from itertools import pairwise
 from time import perf_counter
 
@@ -215,6 +217,28 @@ def test_too_little_memory_is_refused(function, monkeypatch):
     monkeypatch.setattr(sys.modules["radiosity.solve"], "available_bytes", lambda: 1000)
     with pytest.raises(MemoryError, match=r"298 patches .* 0\.01 needs .*MiB but only 1000 B .* max_edge"):
         function(references.load("cornell_298").scene, 0.01)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the peak of memory from /proc")
+def test_memory_is_what_was_forecast():
+    program = """
+        import re, radiosity as rad
+        peak = lambda: 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1])
+        rad.solve(rad.scenes.furnace(), 0.1)  # Threads and their stacks.
+        scene = rad.scenes.cornell_box(max_edge=0.021)
+        before = peak()
+        rad.solve(scene, 0.1)
+        used = peak() - before
+        print(scene.n_patches, rad.forecast(scene, 0.1).nbytes, used)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, check=True, timeout=300
+    )
+    patches, told, used = map(int, done.stdout.split())
+    assert 25_000 < patches < 30_000
+    assert used <= told
+    # Enough is not to be twice as much: nobody shall be refused who has room.
+    assert told <= 2 * used
 
 
 # --- Bad input --------------------------------------------------------------------------------------------------------
