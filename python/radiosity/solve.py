@@ -214,8 +214,9 @@ def forecast(
 ) -> Forecast:
     """What :func:`solve` by rays would take, told from its first rounds of sampling.
 
-    The arguments are those of :func:`solve`. The bytes are those that it will ask for; the seconds are an extrapolation
-    of few rays, good to an order of magnitude.
+    The arguments are those of :func:`solve`. The bytes are those that it asks for, unless later rounds find the patches too
+    coarse and cut them. The seconds are extrapolated from two rounds, which take up to a third of the whole: mostly good to
+    a factor of 1.5.
 
     Raises:
         ValueError, MemoryError: as :func:`solve`.

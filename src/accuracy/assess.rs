@@ -5,7 +5,9 @@
 //! bias from products of independent scrambles, so that it may be far below the noise of a patch.
 
 use super::measure::{Measure, Mesh};
-use super::solver::{Options, check, pilot_rays, refuse_lack_of_memory};
+use super::pilot::{Pilot, pilot_rays};
+use super::solver::{Options, check, refuse_lack_of_memory};
+use super::stages::Stages;
 use super::transport::{FIRST_SEGMENTS, Ground, Tally, Transport};
 use crate::assembly::Order;
 use crate::assembly::rays::Field;
@@ -39,13 +41,15 @@ pub fn assess(scene: &Scene, irradiance: &[f64], options: &Options, progress: &P
     if irradiance.len() != n * bands || irradiance.iter().any(|h| !h.is_finite()) {
         return Err(Error::Invalid(format!("irradiance must hold {n} x {bands} finite numbers")));
     }
+    refuse_lack_of_memory(n, bands, 0, options)?;
     let ground = Ground::of_scene(scene)?;
-    refuse_lack_of_memory(n, bands, ground.lamps.lamps.len(), options)?;
     let mut transport = Transport::new(scene, &ground, 1e-4, seed, progress)?;
+    refuse_lack_of_memory(n, bands, transport.direct.nbytes(), options)?;
+    let constant = Options { order: Order::Constant, ..*options };
     let count = pilot_rays(options.tolerance);
-    let operator = transport.pilot(Order::Constant, count, progress)?.0.into_rays();
+    let pilot = Pilot::new(scene, &transport, &constant, count, &mut Stages::default(), progress)?;
     let mut sizes = [FIRST_SEGMENTS, (count / SCRAMBLES).max(2) as u32, (count / SCRAMBLES / 2).max(1) as u32];
-    let (mut round, mut rays) = (1, (n * count) as u64);
+    let (mut round, mut rays) = (1, pilot.rays);
     loop {
         let mesh = Mesh { scene, whole: scene, parents: None };
         let mut arriving = vec![0.0; n * bands];
@@ -58,7 +62,7 @@ pub fn assess(scene: &Scene, irradiance: &[f64], options: &Options, progress: &P
         transport.gather(&mut base, Some(&field), |_| sizes[1], progress)?;
         let residuals = measure.residuals(&base);
         transport.probe(&mut probe, &field, residuals, |_| sizes[2], progress)?;
-        measure.follow(&operator, &probe, &mut |_: &Step, _: &[f64], _: &[f64]| progress.advance(0))?;
+        measure.follow(&pilot, &probe, &mut |_: &Step, _: &[f64], _: &[f64]| progress.advance(0))?;
         rays += base.total() + 2 * probe.total();
         let (square, doubt) = measure.distance(irradiance);
         if round == ROUNDS || doubt <= DOUBT * square.max(options.tolerance.powi(2)) || !measure.is_finite() {

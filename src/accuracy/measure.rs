@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use rayon::prelude::*;
 
+use super::pilot::Pilot;
 use super::plan::{DECAY, Errors};
 use super::statistics::{Unit, Weight, mean_and_error, spread_of_square, square_of_mean};
 use super::transport::Tally;
@@ -14,8 +15,8 @@ use crate::error::Result;
 use crate::scene::Scene;
 use crate::solve::{Audit, Observer, System, propagated};
 
-/// Of what follows residuals through all bounces, relative: those are some per cent of the answer.
-const RESIDUAL: f64 = 3e-2;
+/// Of what follows residuals through all bounces, in parts of what they become: those are some per cent of the answer.
+const RESIDUAL: f64 = 0.03;
 /// Numbers in the columns that are followed together.
 const TOGETHER: usize = 1 << 18;
 /// Vectors of them that are alive at a time: those of Krylov, the sums on the way, sources and results.
@@ -61,6 +62,8 @@ pub(super) struct Measure<'a> {
     base: Vec<Vec<f64>>,
     /// The same of the probe.
     probe: Vec<Vec<f64>>,
+    /// What the pilot's operator leaves, as either half of the scrambles has it.
+    pilot: Vec<Vec<f64>>,
     /// Whether a residual has no end.
     diverges: bool,
 }
@@ -68,7 +71,7 @@ pub(super) struct Measure<'a> {
 impl<'a> Measure<'a> {
     pub(super) fn new(mesh: Mesh<'a>, field: Option<&Field>) -> Measure<'a> {
         let start = field.map_or_else(|| vec![0.0; mesh.scene.emission().len()], Field::means);
-        Measure { mesh, start, base: Vec::new(), probe: Vec::new(), diverges: false }
+        Measure { mesh, start, base: Vec::new(), probe: Vec::new(), pilot: Vec::new(), diverges: false }
     }
 
     fn bands(&self) -> usize {
@@ -83,33 +86,55 @@ impl<'a> Measure<'a> {
     }
 
     /// Follows the residuals, and those of the probe, through all bounces by the pilot's operator.
-    pub(super) fn follow(&mut self, operator: &Rays, probe: &Tally, observe: &mut Observer) -> Result<()> {
-        let (scene, bands) = (self.mesh.scene, self.bands());
-        let rho = scene.reflectance();
-        let system = System { form_factors: operator, emission: &[], reflectance: rho, bands };
-        let own = std::mem::take(&mut self.base);
-        let probes = (0..SCRAMBLES).filter(|_| probe.total() > 0).map(|s| probe.means(s));
-        let mut residuals: Vec<Vec<f64>> = own.into_iter().chain(probes).collect();
-        // Columns that go together share every ray, and take memory together.
-        let together = (TOGETHER / residuals[0].len()).clamp(1, residuals.len());
-        for residuals in residuals.chunks_mut(together) {
-            let reflected = |r: &Vec<f64>| r.iter().zip(rho).map(|(r, rho)| r * rho).collect();
-            let sources: Vec<Vec<f64>> = residuals.iter().map(reflected).collect();
-            let Some(followed) = propagated(&system, &sources, RESIDUAL, observe)? else {
-                self.diverges = true;
-                break;
-            };
-            for (residual, arriving) in residuals.iter_mut().zip(followed) {
-                residual.iter_mut().zip(arriving).for_each(|(r, h)| *r += h);
+    ///
+    /// Following r by (I - T0)^-1 in place of (I - T)^-1 is a step of Newton's method with an approximate inverse. It leaves
+    /// (I - T0)^-1 (T - T0) e with e = u - u0, which all scrambles share, and which none of their rays lowers. Where much light
+    /// comes back again and again that is no small thing. It is measured by following the mean residual with either half
+    /// of the pilot's rays, for two halves of the scrambles, the product of which is free of their noise.
+    pub(super) fn follow(&mut self, pilot: &Pilot, probe: &Tally, observe: &mut Observer) -> Result<()> {
+        let Some(operator) = &pilot.operator else { return Ok(()) };
+        let (rho, tolerance) = (self.mesh.scene.reflectance(), RESIDUAL / pilot.amplification);
+        // What residuals become, column by column: r + F (I - rho F)^-1 rho r.
+        let mut follow = |operator: &Rays, residuals: &mut [Vec<f64>]| -> Result<bool> {
+            let system =
+                System { form_factors: operator, emission: &[], reflectance: rho, bands: self.mesh.scene.bands() };
+            // Columns that go together share every ray, and take memory together.
+            let together = (TOGETHER / residuals[0].len()).clamp(1, residuals.len());
+            for residuals in residuals.chunks_mut(together) {
+                let reflected = |r: &Vec<f64>| r.iter().zip(rho).map(|(r, rho)| r * rho).collect();
+                let sources: Vec<Vec<f64>> = residuals.iter().map(reflected).collect();
+                let Some(followed) = propagated(&system, &sources, tolerance, observe)? else { return Ok(false) };
+                for (residual, arriving) in residuals.iter_mut().zip(followed) {
+                    residual.iter_mut().zip(arriving).for_each(|(r, h)| *r += h);
+                }
             }
+            Ok(true)
+        };
+        let half = |which: usize| {
+            let part = &self.base[which * SCRAMBLES / 2..][..SCRAMBLES / 2];
+            (0..self.start.len()).map(|k| part.iter().map(|r| r[k]).sum::<f64>() / part.len() as f64).collect()
+        };
+        let means: Vec<Vec<f64>> = vec![half(0), half(1)];
+        let mut by_half = [means.clone(), means];
+        let mut ends = true;
+        for (which, means) in by_half.iter_mut().enumerate() {
+            ends &= follow(&operator.half(which), means)?;
         }
+        let [first, second] = &by_half;
+        let off = |(a, b): (&Vec<f64>, &Vec<f64>)| a.iter().zip(b).map(|(a, b)| 0.5 * (a - b)).collect();
+        self.pilot = first.iter().zip(second).map(off).collect();
+
+        let probes = (0..SCRAMBLES).filter(|_| probe.total() > 0).map(|s| probe.means(s));
+        let mut residuals: Vec<Vec<f64>> = std::mem::take(&mut self.base).into_iter().chain(probes).collect();
+        ends &= follow(operator, &mut residuals)?;
+        self.diverges = !ends;
         self.probe = residuals.split_off(SCRAMBLES);
         self.base = residuals;
         Ok(())
     }
 
     /// How much more than its neighbours every patch of the mesh should be sampled by the base: for variances A V_i m_i^-p
-    /// the best m_i is in proportion to (A V_i)^(1 / (p + 1)). Eight scrambles tell V_i roughly, hence the mean is mixed in.
+    /// the best m_i is in proportion to (A V_i)^(1 / (p + 1)). Four scrambles tell V_i roughly, hence the mean is mixed in.
     pub(super) fn shares(&self) -> Vec<f64> {
         let (scene, bands) = (self.mesh.scene, self.bands());
         if self.base.is_empty() {
@@ -162,27 +187,38 @@ impl<'a> Measure<'a> {
     pub(super) fn errors(&self, direct: &Direct) -> Errors {
         let bands = self.bands();
         let weight = Weight::new(self.mesh.whole);
-        let mut solutions: Vec<Cow<[f64]>> = (0..SCRAMBLES).map(|s| self.solution(direct, s, false)).collect();
-        let light = mean_and_error(|s| solutions[s].as_ref().into()).0;
-        let error = |by_scramble: &[Vec<f64>]| match by_scramble {
-            [] => None,
-            _ => Some(mean_and_error(|s| self.mesh.averaged(&by_scramble[s], bands)).1),
+        let light = mean_and_error(|s| self.solution(direct, s, false)).0;
+        let units: Vec<Unit> = (0..bands).map(|b| Unit::new(&weight, b, &light)).collect();
+        let square = |error: Vec<f64>| -> Vec<f64> { units.iter().map(|unit| unit.product(&error, &error)).collect() };
+        let variance = |by_scramble: &[Vec<f64>]| match by_scramble {
+            [] => vec![0.0; bands],
+            _ => square(mean_and_error(|s| self.mesh.averaged(&by_scramble[s], bands)).1),
         };
-        let errors = [Some(mean_and_error(|s| self.direct(direct, s)).1), error(&self.base), error(&self.probe)];
+        let variances =
+            [square(mean_and_error(|s| self.direct(direct, s)).1), variance(&self.base), variance(&self.probe)];
+        let spread = |corrected: bool| -> Vec<f64> {
+            let mut solutions: Vec<_> = (0..SCRAMBLES).map(|s| self.solution(direct, s, corrected)).collect();
+            let mean = mean_and_error(|s| solutions[s].as_ref().into()).0;
+            for solution in &mut solutions {
+                solution.to_mut().iter_mut().zip(&mean).for_each(|(x, mean)| *x -= mean);
+            }
+            units.iter().map(|unit| spread_of_square(&solutions, |x, y| unit.product(x, y))).collect()
+        };
+        let spreads = [spread(false), spread(true)];
         let probe: Vec<Cow<[f64]>> = self.probe.iter().map(|x| self.mesh.averaged(x, bands)).collect();
-        for solution in &mut solutions {
-            solution.to_mut().iter_mut().zip(&light).for_each(|(x, mean)| *x -= mean);
-        }
+        let pilot: Vec<Cow<[f64]>> = self.pilot.iter().map(|x| self.mesh.averaged(x, bands)).collect();
         let of_band = |b: usize| {
-            let unit = Unit::new(&weight, b, &light);
-            let total = |x: &Option<Vec<f64>>| x.as_ref().map_or(0.0, |x| unit.product(x, x));
-            let (discretisation, doubt) = square_of_mean(&probe, |x, y| unit.product(x, y));
-            let spread = spread_of_square(&solutions, |x, y| unit.product(x, y));
-            Errors { variances: errors.each_ref().map(total), spread, discretisation, doubt }
+            let (discretisation, doubt) = square_of_mean(&probe, |x, y| units[b].product(x, y));
+            let (variances, spreads) = (variances.each_ref().map(|x| x[b]), spreads.each_ref().map(|x| x[b]));
+            // Half the difference of halves has the variance of half the rays less that of all.
+            let pilot = match pilot.as_slice() {
+                [first, second] => units[b].product(first, second).max(0.0) / (2f64.powf(DECAY) - 1.0),
+                _ => 0.0,
+            };
+            Errors { variances, spreads, pilot, discretisation, doubt }
         };
-        let size = |errors: &Errors| errors.parts(false).iter().sum::<f64>();
-        let none = Errors { variances: [0.0; 3], spread: 0.0, discretisation: 0.0, doubt: 0.0 };
-        (0..bands).map(of_band).max_by(|a, b| size(a).total_cmp(&size(b))).unwrap_or(none)
+        let none = Errors { variances: [0.0; 3], spreads: [0.0; 2], pilot: 0.0, discretisation: 0.0, doubt: 0.0 };
+        (0..bands).map(of_band).max_by(|a, b| a.at_worst().total_cmp(&b.at_worst())).unwrap_or(none)
     }
 
     /// The square of what base and probe together add to the field, in units of `irradiance` squared, and the standard error of

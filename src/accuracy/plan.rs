@@ -16,9 +16,9 @@ const PROBE_GROWTH: f64 = 2.0;
 /// How much of the discretisation error is left, at most, when light is followed one bounce further.
 const LEFT: f64 = 0.35;
 /// The sampling is to meet its goal even if its squared error comes out so many standard deviations above its mean.
-const CARE: f64 = 2.5;
+const CARE: f64 = 2.0;
 /// Share of the squared goal that the doubt about the discretisation error may take.
-const DOUBT: f64 = 0.3;
+const DOUBT: f64 = 0.2;
 /// Share of it that must be left for sampling.
 const LEAST: f64 = 0.3;
 
@@ -32,8 +32,11 @@ const PROBE: usize = 2;
 pub(super) struct Errors {
     /// Of the sampling, by kind; the probe's counts only when it is added to the answer.
     pub(super) variances: [f64; KINDS],
-    /// The standard deviation of the squared error of sampling, in units of its mean: large where few patches have most of it.
-    pub(super) spread: f64,
+    /// The standard deviation of the squared error of sampling, in units of its mean, without and with the probe added: large
+    /// where few patches have most of it, or all share one.
+    pub(super) spreads: [f64; 2],
+    /// What the pilot's operator leaves, which no sample lowers.
+    pub(super) pilot: f64,
     /// The discretisation error: an estimate without bias, which may be negative.
     pub(super) discretisation: f64,
     /// The standard error of that estimate.
@@ -45,7 +48,18 @@ impl Errors {
     pub(super) fn parts(&self, corrected: bool) -> [f64; 2] {
         let [direct, base, probe] = self.variances;
         let discretisation = self.discretisation.max(0.0);
-        if corrected { [direct + base + probe, LEFT * LEFT * discretisation] } else { [direct + base, discretisation] }
+        let sampling = self.pilot + direct + base + if corrected { probe } else { 0.0 };
+        [sampling, if corrected { LEFT * LEFT * discretisation } else { discretisation }]
+    }
+
+    /// The squared error of the uncorrected answer where that of sampling is [`CARE`] standard deviations above its mean.
+    pub(super) fn at_worst(&self) -> f64 {
+        let [sampling, discretisation] = self.parts(false);
+        sampling * self.care(false) + discretisation
+    }
+
+    fn care(&self, corrected: bool) -> f64 {
+        1.0 + CARE * self.spreads[usize::from(corrected)]
     }
 }
 
@@ -76,7 +90,7 @@ impl Plan {
     /// and their noise is a part of the doubt.
     fn with_base(mut self, costs: &[f64; KINDS]) -> Plan {
         // A probe ray is two rays.
-        if self.factors[PROBE] > 1.0 && costs[BASE] > 0.0 {
+        if self.factors[PROBE] > MET && costs[BASE] > 0.0 {
             let least = 0.5 * costs[PROBE] * self.factors[PROBE] / costs[BASE];
             self.factors[BASE] = self.factors[BASE].max(least);
         }
@@ -96,38 +110,39 @@ impl Plan {
 /// The cheapest way to bring the squared error down to `goal`; `None` when the patches are too coarse for any.
 pub(super) fn cheapest(errors: &Errors, costs: &[f64; KINDS], goal: f64, refine: bool) -> Option<Plan> {
     let (known, doubt) = (errors.discretisation.max(0.0), errors.doubt);
-    let variances = errors.variances.map(|variance| variance * (1.0 + CARE * errors.spread));
-    let reserve = 0.5 * doubt.min(DOUBT * goal);
-    // Without correction: the sampling down to `left`, and the doubt to its share of `whole`.
-    let uncorrected = |left: f64, whole: f64| {
-        let mut factors = growth(&variances, costs, left, &[0, BASE]);
-        factors[PROBE] = (doubt / (DOUBT * whole)).max(1.0).powf(1.0 / DECAY);
+    let goal = (goal - errors.pilot).max(LEAST * goal);
+    let reserve = doubt.min(DOUBT * goal);
+    let growth = |left: f64, kinds: &[usize], corrected: bool| {
+        growth(&errors.variances.map(|variance| variance * errors.care(corrected)), costs, left, kinds)
+    };
+    // Without correction: the sampling down to `left`, and the doubt to `sure`.
+    let uncorrected = |left: f64, sure: f64| {
+        let mut factors = growth(left, &[0, BASE], false);
+        factors[PROBE] = (doubt / sure).max(1.0).powf(1.0 / DECAY);
         Plan { factors, corrected: false }.with_base(costs)
     };
     let left = goal - known - reserve;
-    let plain = (left >= LEAST * goal).then(|| uncorrected(left, goal));
-    if !refine {
-        // What the patches cannot show is not to be had: sampling need not be finer than a part of that.
-        return Some(plain.unwrap_or_else(|| uncorrected((LEAST * goal).max(0.1 * known), goal.max(known))));
-    }
+    let plain = (left >= LEAST * goal).then(|| uncorrected(left, DOUBT * goal));
     if plain.is_some_and(|plan| plan.is_met()) {
         return plain;
     }
     let cheaper = |plans: [Option<Plan>; 2]| {
         plans.into_iter().flatten().min_by(|p, q| p.extra_cost(costs).total_cmp(&q.extra_cost(costs)))
     };
+    // What may be noise is neither corrected, nor are patches cut for it. The sampling goes as far as it must without such an
+    // error; from there it goes on, or the probe until more is known, whichever is cheaper.
     if known < SURE * doubt {
-        // Nobody corrects an error, or cuts patches for one, that may be noise. The sampling goes as far as it must without
-        // such an error; from there it goes on, or the probe until more is known, whichever is cheaper.
-        let least = uncorrected(goal - reserve, goal);
+        let least = uncorrected(goal - reserve, (DOUBT * goal).max(known / SURE));
         let more = Plan { factors: [1.0, 1.0, PROBE_GROWTH], corrected: false }.with_base(costs);
         return if least.is_met() { cheaper([plain, Some(more)]) } else { Some(least) };
     }
+    if !refine {
+        // What the patches cannot show is not to be had: sampling need not be finer than a part of that.
+        return Some(plain.unwrap_or_else(|| uncorrected((LEAST * goal).max(0.1 * known), goal.max(known))));
+    }
     let left = goal - LEFT * LEFT * (known + doubt);
-    let corrected = (left >= LEAST * goal).then(|| {
-        let factors = growth(&variances, costs, left, &[0, BASE, PROBE]);
-        Plan { factors, corrected: true }
-    });
+    let corrected =
+        (left >= LEAST * goal).then(|| Plan { factors: growth(left, &[0, BASE, PROBE], true), corrected: true });
     cheaper([plain, corrected])
 }
 

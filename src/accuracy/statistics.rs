@@ -78,24 +78,35 @@ pub(super) fn square_of_mean(x: &[Cow<[f64]>], product: impl Fn(&[f64], &[f64]) 
     if x.len() < 2 {
         return (0.0, 0.0);
     }
-    let pairs = (1..x.len()).flat_map(|s| (0..s).map(move |t| (s, t)));
-    let products: Vec<f64> = pairs.map(|(s, t)| product(&x[s], &x[t])).collect();
-    let number = products.len() as f64;
-    let square = products.iter().sum::<f64>() / number;
-    // Products of different pairs are uncorrelated where the mean is 0, which is where the doubt matters.
-    let spread = products.iter().map(|p| (p - square).powi(2)).sum::<f64>() / (number - 1.0);
-    (square, (spread / number).sqrt())
+    let pairs: Vec<(usize, usize)> = (1..x.len()).flat_map(|s| (0..s).map(move |t| (s, t))).collect();
+    let products: Vec<f64> = pairs.iter().map(|&(s, t)| product(&x[s], &x[t])).collect();
+    let mean = |with: &dyn Fn(usize) -> bool| {
+        let chosen = || pairs.iter().zip(&products).filter(|((s, t), _)| with(*s) && with(*t)).map(|(_, p)| *p);
+        chosen().sum::<f64>() / chosen().count() as f64
+    };
+    let (square, number, count) = (mean(&|_| true), products.len() as f64, x.len() as f64);
+    // Products of different pairs are uncorrelated where the mean is 0; where it is not, those of one vector rise and fall with
+    // it, which leaving out one vector after the other shows (the jackknife, Quenouille 1956; Arvesen 1969).
+    let spread = products.iter().map(|p| (p - square).powi(2)).sum::<f64>() / (number - 1.0) / number;
+    let without = (0..x.len()).map(|left_out| (mean(&|s| s != left_out) - square).powi(2)).sum::<f64>();
+    let jackknife = if x.len() > 2 { (count - 1.0) / count * without } else { 0.0 };
+    (square, spread.max(jackknife).sqrt())
 }
 
 /// The standard deviation of |x - E x|^2 in units of its mean, by the inner products of independent vectors x_s that have had
 /// their mean taken off. With covariance C that is (2 tr C^2)^(1/2) / tr C for normal x: next to nothing where many
-/// components vary on their own, 2^(1/2) where all vary as one. A product of two has the variance tr C^2.
+/// components vary on their own, 2^(1/2) where all vary as one.
 pub(super) fn spread_of_square(x: &[Cow<[f64]>], product: impl Fn(&[f64], &[f64]) -> f64) -> f64 {
-    let count = x.len() as f64;
-    let trace = x.iter().map(|x| product(x, x)).sum::<f64>() / (count - 1.0);
+    let n = x.len() as f64;
+    let trace = x.iter().map(|x| product(x, x)).sum::<f64>() / (n - 1.0);
+    if !(trace > 0.0) {
+        return 0.0;
+    }
+    // The product of two is -tr C / n in the mean, because the mean was taken off, and has the variance c tr C^2 about that.
+    let c = (1.0 - 1.0 / n).powi(2) + 1.0 / (n * n) - 2.0 / (n * n * (n - 1.0));
     let pairs = (1..x.len()).flat_map(|s| (0..s).map(move |t| (s, t)));
-    // Without their mean the products are -tr C / n in the mean.
-    let squares: f64 = pairs.map(|(s, t)| (product(&x[s], &x[t]) + trace / count).powi(2)).sum();
-    let number = 0.5 * count * (count - 1.0);
-    if trace > 0.0 { (2.0 * squares / number).sqrt() / trace } else { 0.0 }
+    let squares: f64 = pairs.map(|(s, t)| (product(&x[s], &x[t]) / trace + 1.0 / n).powi(2)).sum();
+    let of_square = squares / (0.5 * n * (n - 1.0)) / c;
+    // The square of the trace is itself too large by 2 tr C^2 / (n - 1) in the mean.
+    (2.0 * of_square / (1.0 - 2.0 * of_square / (n - 1.0)).max(0.5)).sqrt()
 }

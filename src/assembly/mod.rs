@@ -3,7 +3,7 @@
 //! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply
 //! - [`dense`]: the symmetric exchange of every pair, occluded, stored once
 //! - [`sampled`]: rows by Monte Carlo or hemicube, stored sparsely
-//! - [`rays`]: rows by quasi-random rays, constant or linear on every patch
+//! - [`rays`]: rows by quasi-random rays, and the linear field that they show
 //! - [`hidden`]: how much of each pair is visible, and where work is spent
 //! - [`matrix`]: matrices that the user brings, dense or sparse
 //! - [`balance`]: row sums, remainder, reciprocity, and the repair of the first

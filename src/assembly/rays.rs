@@ -91,6 +91,17 @@ impl Rays {
         !self.arrivals.contains(&NO_PATCH)
     }
 
+    /// The operator of the first (0) or the second (1) half of the rays of every patch.
+    pub fn half(&self, which: usize) -> Rays {
+        let count = self.count / 2;
+        let part = |row: &[u32]| row[which * count..][..count].to_vec();
+        Rays {
+            count,
+            arrivals: self.arrivals.chunks_exact(self.count).flat_map(part).collect(),
+            areas: self.areas.clone(),
+        }
+    }
+
     fn row_of(&self, i: usize) -> &[u32] {
         &self.arrivals[i * self.count..][..self.count]
     }

@@ -19,7 +19,7 @@ use crate::scene::Scene;
 use crate::visibility::{Bvh, NO_PATCH, Segment};
 
 /// Independent scrambles of every sample.
-pub const SCRAMBLES: usize = 8;
+pub const SCRAMBLES: usize = 4;
 
 /// Share of the segments that watch lamps on which all segments have agreed so far: a sliver of a shadow escapes a few.
 const WATCH: f64 = 0.25;
@@ -42,9 +42,6 @@ struct View {
     share: f64,
     seen: [Seen; SCRAMBLES],
 }
-
-/// Bytes of what a patch knows of one lamp, with its share of the list.
-pub const BYTES_OF_VIEW: u64 = (size_of::<View>() + size_of::<Vec<View>>()) as u64;
 
 impl View {
     /// The visible fraction by all segments.
@@ -182,6 +179,12 @@ impl<'a> Direct<'a> {
     pub fn partial_segments(&self) -> u64 {
         let partial = self.views.iter().flatten().filter(|view| view.is_partial());
         partial.map(|view| SCRAMBLES as u64 * u64::from(view.segments)).sum()
+    }
+
+    /// Bytes of what is known of every patch and lamp.
+    pub fn nbytes(&self) -> u64 {
+        let views: usize = self.views.iter().map(|views| size_of_val(views.as_slice())).sum();
+        (views + size_of_val(self.views.as_slice()) + size_of_val(self.in_view.as_slice())) as u64
     }
 
     /// Whether patch i sees most of lamp l.

@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use radiosity::Progress;
 use radiosity::direct::lamp::Point;
-use radiosity::direct::patches::Direct;
+use radiosity::direct::patches::{Direct, SCRAMBLES};
 use radiosity::direct::{Lamp, Lamps};
 use radiosity::geometry::sampling::Sobol;
 use radiosity::scene::Sides;
@@ -114,30 +114,42 @@ fn light_at_points_and_on_patches_by_symmetry() {
     let (lamps, blockers) = (Lamps::of_scene(&scene).unwrap(), Bvh::of_blockers(&scene));
     assert_eq!(lamps.lamps.len(), 1);
     let mut direct = Direct::new(&scene, &lamps, &blockers, 1e-8, 3, 4, &Progress::default()).unwrap();
-    direct.sample(|_| 512, &Progress::default()).unwrap();
+    direct.sample(|_| 4096 / SCRAMBLES as u32, &Progress::default()).unwrap();
     // Mirroring at x = 0 exchanges free segments and hidden ones: half of E F is left, F = 0.199824895698 (Howell C-11).
     let mut both = [0.0];
     (0..2).for_each(|i| direct.irradiance(i, &mut both));
-    // 2 x 8 x 512 segments: random ones would be off by 0.5 / sqrt(8192) = 0.6 %, quasi-random ones by less.
+    // 2 x 4096 segments: random ones would be off by 0.5 / sqrt(8192) = 0.6 %, quasi-random ones by less.
     assert_close(0.5 * both[0], 0.5 * 2.0 * 0.199_824_895_698, 0.006 * 0.2);
-    let by_scramble = (0..8).map(|s| {
+    let by_scramble = (0..SCRAMBLES).map(|s| {
         let mut out = [0.0];
         (0..2).for_each(|i| direct.irradiance_of_scramble(i, s, &mut out));
         out[0]
     });
-    assert_close(by_scramble.sum::<f64>() / 8.0, both[0], 1e-12);
+    assert_close(by_scramble.sum::<f64>() / SCRAMBLES as f64, both[0], 1e-12);
+}
 
-    // At single points, with whatever is said of the view: the mean over many samples is that over the lamp's free half.
+#[test]
+fn light_at_points_is_right_in_the_mean() {
+    // Two lamps of unequal brightness side by side, so that one has to be chosen, and the sheet below.
+    let floor = plate(vec3(-0.5, -0.5, 0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), 1);
+    let lamp = |x: f64| plate(vec3(x, -0.5, 1.0), vec3(0.0, 1.0, 0.0), vec3(0.5, 0.0, 0.0), 1);
+    let sheet = plate(vec3(-5.0, -5.0, 0.5), vec3(5.0, 0.0, 0.0), vec3(0.0, 10.0, 0.0), 1);
+    let emissions = [0.0, 1.0, 5.0, 0.0];
+    let all = floor.and(&lamp(-0.5)).and(&lamp(0.0)).and(&sheet);
+    let scene = all.scene_with(1, Sides::Front, |_, _| 0.0, |i, _| emissions[i / 2]);
+    let (lamps, blockers) = (Lamps::of_scene(&scene).unwrap(), Bvh::of_blockers(&scene));
+    assert_eq!(lamps.lamps.len(), 2);
     let random = Random::new(5);
     for x in [-0.3, 0.2] {
         let point = up(x, 0.1);
-        // The free half of the lamp seen from x: what lies beyond the sheet's edge at x = 0, y = any, z = 0.5.
-        let edge = (-x).clamp(-0.5, 0.5);
-        let free = Lamp::new(
-            [(edge, -0.5), (edge, 0.5), (0.5, 0.5), (0.5, -0.5)].map(|(x, y)| vec3(x, y, 1.0)).to_vec(),
-            vec![1.0],
-        );
-        let exact = 2.0 * free.form_factor(&point);
+        // The free part of a lamp seen from x: what lies beyond the sheet's edge at x = 0, y = any, z = 0.5.
+        let free = |from: f64, to: f64| {
+            let edge = (-x).clamp(from, to);
+            let corners = [(edge, -0.5), (edge, 0.5), (to, 0.5), (to, -0.5)].map(|(x, y)| vec3(x, y, 1.0));
+            if edge < to { Lamp::new(corners.to_vec(), vec![1.0]).form_factor(&point) } else { 0.0 }
+        };
+        let exact = free(-0.5, 0.0) + 5.0 * free(0.0, 0.5);
+        // Whatever is said of the view.
         for in_view in [true, false] {
             let points = vec![point; 20_000];
             let mut out = vec![0.0; points.len()];

@@ -40,15 +40,20 @@ fn fields_are_linear_between_corners() {
     assert_eq!(field.means(), vec![3.0]);
 }
 
-/// 16 rays from each of 5 patches, with ends made up at random; one ray in eight is lost.
-fn made_up(order: Order) -> Trips {
+/// Origins and arrivals of 16 rays from each of 5 patches, at random.
+fn ends() -> Vec<([f64; 2], u32)> {
     let random = Random::new(11);
-    let mut trips = Trips::new(order, 16, &[1.0, 2.0, 3.0, 4.0, 5.0]);
     let place = || {
         let (v, w) = (random.uniform(), random.uniform());
         if v + w < 1.0 { [v, w] } else { [1.0 - v, 1.0 - w] }
     };
-    let ends: Vec<_> = (0..80).map(|_| (place(), random.below(5) as u32)).collect();
+    (0..80).map(|_| (place(), random.below(5) as u32)).collect()
+}
+
+/// Trips with these ends; one ray in eight is lost.
+fn made_up(order: Order) -> Trips {
+    let mut trips = Trips::new(order, 16, &[1.0, 2.0, 3.0, 4.0, 5.0]);
+    let ends = ends();
     trips.rows().enumerate().for_each(|(i, mut row)| {
         for k in 0..16 {
             row.start(k, ends[16 * i + k].0);
@@ -96,6 +101,25 @@ fn gather_row_shoot_and_apply_are_one_matrix() {
         trips.add_gathered(&x, &mut field);
         field.means().iter().zip(&applied).for_each(|(mean, h)| assert_close(*mean, 1.0 + h, 1e-13));
     }
+    // Corner by corner it is what the row of each patch makes of the values that its rays find.
+    let mut trips = made_up(Order::Linear);
+    let mut field = Field::new(Order::Linear, 2, vec![0.0; 6 * n]);
+    trips.add_gathered(&x, &mut field);
+    let ends = ends();
+    trips.rows().enumerate().for_each(|(i, row)| {
+        let mut corners = vec![0.0; 6];
+        let value = |k: usize, out: &mut [f64]| {
+            if k % 8 > 0 {
+                out.iter_mut().zip(&x[2 * ends[16 * i + k].1 as usize..]).for_each(|(out, x)| *out += x);
+            }
+        };
+        row.add_projected(2, value, &mut corners);
+        for (c, place) in [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].into_iter().enumerate() {
+            let mut at = [0.0; 2];
+            field.add(i as u32, place, &[1.0; 2], &mut at);
+            assert_eq!(at[..], corners[2 * c..][..2]);
+        }
+    });
 }
 
 #[test]

@@ -249,6 +249,32 @@ fn gathering_needs_fewer_steps_than_bouncing_and_krylov_the_fewest() {
 }
 
 #[test]
+fn gmres_tells_the_residual_of_every_step() {
+    // Carried along by recurrences, it is that of the system to rounding, also after the restart at step 60: bands so close
+    // to 1 that a chain of patches needs more steps than that.
+    let n = 150usize;
+    let chain: Vec<f64> = (0..n * n).map(|k| if (k / n).abs_diff(k % n) == 1 { 0.5 } else { 0.0 }).collect();
+    let f = DenseMatrix::new(n, chain).unwrap();
+    let reflectance: Vec<f64> = (0..2 * n).map(|k| [0.9999, 0.6][k % 2]).collect();
+    let emission: Vec<f64> = (0..2 * n).map(|k| if k < 2 { 1.0 } else { 0.0 }).collect();
+    let system = System { form_factors: &f, emission: &emission, reflectance: &reflectance, bands: 2 };
+    let mut steps = 0;
+    solve(&system, Method::Gmres, &options(1e-9), &mut |_, radiosity, unshot| {
+        steps += 1;
+        let mut arriving = vec![0.0; 2 * n];
+        f.apply(radiosity, 2, &mut arriving);
+        for k in 0..2 * n {
+            let exact = emission[k] + reflectance[k] * arriving[k] - radiosity[k];
+            // Up to 150 vectors of length 1 or less, with coefficients of the size of the radiosity, some tens.
+            assert!((unshot[k] - exact).abs() < 1e-11, "step {steps}: {} and {exact}", unshot[k]);
+        }
+        Ok(())
+    })
+    .unwrap();
+    assert!(steps > 60, "{steps} steps");
+}
+
+#[test]
 fn gmres_ends_when_the_space_is_exhausted() {
     // Twelve patches make a space of twelve dimensions, in which the least residual is zero (Saad & Schultz 1986). The
     // thirteenth step is for rounding.
