@@ -62,7 +62,7 @@ pub fn assess(scene: &Scene, irradiance: &[f64], options: &Options, progress: &P
         transport.gather(&mut base, Some(&field), |_| sizes[1], progress)?;
         let residuals = measure.residuals(&base);
         transport.probe(&mut probe, &field, residuals, |_| sizes[2], progress)?;
-        measure.follow(&pilot, &probe, &mut |_: &Step, _: &[f64], _: &[f64]| progress.advance(0))?;
+        measure.follow(&pilot, &probe, options.tolerance, &mut |_: &Step, _: &[f64], _: &[f64]| progress.advance(0))?;
         rays += base.total() + 2 * probe.total();
         let (square, doubt) = measure.distance(irradiance);
         if round == ROUNDS || doubt <= DOUBT * square.max(options.tolerance.powi(2)) || !measure.is_finite() {

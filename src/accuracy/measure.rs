@@ -15,8 +15,9 @@ use crate::error::Result;
 use crate::scene::Scene;
 use crate::solve::{Audit, Observer, System, propagated};
 
-/// Of what follows residuals through all bounces, in parts of what they become: those are some per cent of the answer.
-const RESIDUAL: f64 = 0.03;
+/// What following residuals through all bounces may leave, in tolerances, and the least and most of its relative residual.
+const RESIDUAL: f64 = 0.1;
+const RESIDUALS: [f64; 2] = [1e-6, 0.03];
 /// Numbers in the columns that are followed together.
 const TOGETHER: usize = 1 << 18;
 /// Vectors of them that are alive at a time: those of Krylov, the sums on the way, sources and results.
@@ -91,9 +92,19 @@ impl<'a> Measure<'a> {
     /// (I - T0)^-1 (T - T0) e with e = u - u0, which all scrambles share, and which none of their rays lowers. Where much light
     /// comes back again and again that is no small thing. It is measured by following the mean residual with either half
     /// of the pilot's rays, for two halves of the scrambles, the product of which is free of their noise.
-    pub(super) fn follow(&mut self, pilot: &Pilot, probe: &Tally, observe: &mut Observer) -> Result<()> {
+    pub(super) fn follow(
+        &mut self,
+        pilot: &Pilot,
+        probe: &Tally,
+        tolerance: f64,
+        observe: &mut Observer,
+    ) -> Result<()> {
         let Some(operator) = &pilot.operator else { return Ok(()) };
-        let (rho, tolerance) = (self.mesh.scene.reflectance(), RESIDUAL / pilot.amplification);
+        let rho = self.mesh.scene.reflectance();
+        // A residual r becomes A r at most, with A the amplification of light.
+        let largest = self.base.iter().map(|r| self.norm(r)).fold(f64::MIN_POSITIVE, f64::max);
+        let share = self.norm(&self.start) / (largest * pilot.amplification);
+        let tolerance = (RESIDUAL * tolerance * share).clamp(RESIDUALS[0], RESIDUALS[1] / pilot.amplification.sqrt());
         // What residuals become, column by column: r + F (I - rho F)^-1 rho r.
         let mut follow = |operator: &Rays, residuals: &mut [Vec<f64>]| -> Result<bool> {
             let system =
@@ -131,6 +142,50 @@ impl<'a> Measure<'a> {
         self.probe = residuals.split_off(SCRAMBLES);
         self.base = residuals;
         Ok(())
+    }
+
+    /// In a closed scene all that is emitted is absorbed: sum A E = sum A (1 - rho) (D + u), whatever the rays. What bounced is
+    /// scaled until this holds, in every scramble for itself: of an error that all patches share, which a white room returns
+    /// 1 / (1 - rho) times, nothing is left. So is nothing of it in what is known of the other errors.
+    pub(super) fn balance(&mut self, base: &Tally, direct: &Direct) {
+        if self.base.is_empty() || base.lost.iter().any(|lost| *lost > 0) {
+            return;
+        }
+        let (scene, bands) = (self.mesh.scene, self.bands());
+        let (areas, rho) = (scene.areas(), scene.reflectance());
+        let absorbed = |x: &[f64], b: usize| -> f64 {
+            areas.iter().enumerate().map(|(i, area)| area * (1.0 - rho[i * bands + b]) * x[i * bands + b]).sum()
+        };
+        let mut mean = vec![0.0; self.start.len()];
+        for (s, base) in self.base.iter_mut().enumerate() {
+            let mut arriving = vec![0.0; mean.len()];
+            let rows = arriving.par_chunks_mut(bands).enumerate();
+            rows.for_each(|(i, out)| direct.irradiance_of_scramble(i, s, out));
+            base.iter_mut().zip(&self.start).for_each(|(x, start)| *x += start);
+            for b in 0..bands {
+                let emitted: f64 =
+                    areas.iter().enumerate().map(|(i, area)| area * scene.emission()[i * bands + b]).sum();
+                let (wanted, found) = (emitted - absorbed(&arriving, b), absorbed(base, b));
+                let scale = if found > 0.0 && wanted > 0.0 { wanted / found } else { 1.0 };
+                base.iter_mut().skip(b).step_by(bands).for_each(|x| *x *= scale);
+            }
+            mean.iter_mut().zip(base.iter()).for_each(|(mean, x)| *mean += x / SCRAMBLES as f64);
+            base.iter_mut().zip(&self.start).for_each(|(x, start)| *x -= start);
+        }
+        for error in self.probe.iter_mut().chain(&mut self.pilot) {
+            for b in 0..bands {
+                let all = absorbed(&mean, b);
+                let share = if all > 0.0 { absorbed(error, b) / all } else { 0.0 };
+                let numbers = error.iter_mut().zip(&mean).skip(b).step_by(bands);
+                numbers.for_each(|(x, mean)| *x -= share * mean);
+            }
+        }
+    }
+
+    /// The square root of the area-weighted sum of squares over all bands.
+    fn norm(&self, x: &[f64]) -> f64 {
+        let bands = self.bands();
+        x.iter().enumerate().fold(0.0f64, |sum, (k, x)| sum.hypot(self.mesh.scene.areas()[k / bands].sqrt() * x))
     }
 
     /// How much more than its neighbours every patch of the mesh should be sampled by the base: for variances A V_i m_i^-p

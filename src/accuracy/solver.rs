@@ -169,7 +169,7 @@ fn longest_edge(scene: &Scene) -> f64 {
 /// Bytes that a solve on `n` patches takes at its peak: the two trees, what every patch sees of the lamps (`views`), the pilot's
 /// rays, the field, the sums of base and probe, and what is followed of them.
 fn bytes(n: usize, bands: usize, views: u64, options: &Options) -> u64 {
-    const TREES: u64 = 400;
+    const TREES: u64 = 500;
     let values = bands as u64 * size_of::<f64>() as u64;
     let pilot = pilot_rays(options.tolerance) as u64 * BYTES_OF_TRIP;
     let field = options.order.coefficients() as u64 * values;
@@ -220,7 +220,8 @@ fn on_mesh(
             if let Some(field) = field {
                 stages.time("probe", || transport.probe(&mut probe, field, residuals, |_| sizes[2], progress))?;
                 let mut observe = |_: &Step, _: &[f64], _: &[f64]| progress.advance(0);
-                stages.time("bounces", || measure.follow(&pilot, &probe, &mut observe))?;
+                stages.time("bounces", || measure.follow(&pilot, &probe, options.tolerance, &mut observe))?;
+                measure.balance(&base, &transport.direct);
             }
         }
         let direct = &transport.direct;

@@ -64,7 +64,7 @@ fn white_rooms_meet_the_tolerance() {
     // All light comes back 30 times: what few rays lose too much or too little of it is 30 times as large. Grey patches that
     // make a check of the walls keep the solution from being a constant, which any ray shows.
     let shines = |i: usize, _: usize| if i < 32 { 3.0 } else { 0.0 };
-    let white = |i: usize, _: usize| if i % 7 == 0 { 0.8 } else { 0.995 };
+    let white = |i: usize, _: usize| if i.is_multiple_of(7) { 0.8 } else { 0.995 };
     let scene = box_in_box(4).scene_with(1, Sides::Front, white, shines);
     let best = solved(&scene, &Options { tolerance: 0.01, seed: 99, ..DEFAULT });
     for seed in 0..5 {

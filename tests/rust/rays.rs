@@ -109,7 +109,7 @@ fn gather_row_shoot_and_apply_are_one_matrix() {
     trips.rows().enumerate().for_each(|(i, row)| {
         let mut corners = vec![0.0; 6];
         let value = |k: usize, out: &mut [f64]| {
-            if k % 8 > 0 {
+            if !k.is_multiple_of(8) {
                 out.iter_mut().zip(&x[2 * ends[16 * i + k].1 as usize..]).for_each(|(out, x)| *out += x);
             }
         };
