@@ -5,8 +5,9 @@
 //! bias from products of independent scrambles, so that it may be far below the noise of a patch.
 
 use super::measure::{Measure, Mesh};
+use super::options::Options;
 use super::pilot::{Pilot, pilot_rays};
-use super::solver::{Options, check, refuse_lack_of_memory};
+use super::solver::refuse_lack_of_memory;
 use super::stages::Stages;
 use super::transport::{FIRST_SEGMENTS, Ground, Tally, Transport};
 use crate::assembly::Order;
@@ -36,7 +37,7 @@ pub struct Assessment {
 /// # Errors
 /// [`Error::Invalid`] for options or values out of range, [`Error::Memory`], [`Error::Interrupted`].
 pub fn assess(scene: &Scene, irradiance: &[f64], options: &Options, progress: &Progress) -> Result<Assessment> {
-    check(options)?;
+    options.check()?;
     let (n, bands, seed) = (scene.len(), scene.bands(), options.seed);
     if irradiance.len() != n * bands || irradiance.iter().any(|h| !h.is_finite()) {
         return Err(Error::Invalid(format!("irradiance must hold {n} x {bands} finite numbers")));

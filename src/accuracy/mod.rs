@@ -41,6 +41,7 @@
 
 pub mod assess;
 mod measure;
+mod options;
 mod pilot;
 mod plan;
 mod solver;
@@ -49,4 +50,5 @@ mod statistics;
 mod transport;
 
 pub use assess::{Assessment, assess};
-pub use solver::{Forecast, Options, Outcome, forecast, solve};
+pub use options::Options;
+pub use solver::{Forecast, Outcome, forecast, solve};

@@ -1,6 +1,6 @@
 //! The pilot: an operator T0 of few rays, and the field u0 = T0 (D + u0).
 
-use super::solver::Options;
+use super::options::Options;
 use super::stages::Stages;
 use super::transport::Transport;
 use crate::assembly::rays::Field;

@@ -1,11 +1,11 @@
 //! The rounds of pilot, base and probe until the estimate of the error meets the tolerance.
 
 use super::measure::{Measure, Mesh, bytes_to_follow};
+use super::options::Options;
 use super::pilot::{Pilot, pilot_rays};
 use super::plan::{Plan, cheapest};
 use super::stages::Stages;
 use super::transport::{FIRST_SEGMENTS, Ground, Tally, Transport};
-use crate::assembly::Order;
 use crate::assembly::rays::BYTES_OF_TRIP;
 use crate::direct::patches::SCRAMBLES;
 use crate::error::{Error, Result};
@@ -32,21 +32,6 @@ const FORECAST_GROWTH: f64 = 2.0;
 const MORE_ROUNDS: f64 = 2.0;
 /// What a segment costs when it is cast with many others, in rays.
 const SEGMENT_COST: f64 = 0.5;
-
-/// What is asked for.
-#[derive(Debug, Clone, Copy)]
-pub struct Options {
-    /// Error to be reached, in (0, 1).
-    pub tolerance: f64,
-    /// How radiosity varies over a patch.
-    pub order: Order,
-    /// Whether light may be followed below the patches where they are too coarse.
-    pub refine: bool,
-    /// Seed of all samples.
-    pub seed: u64,
-    /// Bytes that may be used.
-    pub memory: u64,
-}
 
 /// A scene solved.
 #[derive(Debug, Clone)]
@@ -122,7 +107,7 @@ pub fn forecast(scene: &Scene, options: &Options, progress: &Progress) -> Result
 }
 
 fn run(scene: &Scene, options: &Options, limits: &Limits, progress: &Progress) -> Result<Outcome> {
-    check(options)?;
+    options.check()?;
     let mut seconds = Stages::default();
     let whole = Mesh { scene, whole: scene, parents: None };
     let mut max_edge = longest_edge(scene);
@@ -138,13 +123,6 @@ fn run(scene: &Scene, options: &Options, limits: &Limits, progress: &Progress) -
         let fine = Mesh { scene: &fine, whole: scene, parents: Some(&parents) };
         outcome = on_mesh(fine, options, limits, meshes < MESHES, &mut seconds, progress)?;
     }
-}
-
-pub(super) fn check(options: &Options) -> Result<()> {
-    if !(options.tolerance > 0.0 && options.tolerance < 1.0) {
-        return Err(Error::Invalid(format!("tolerance {} is outside (0, 1)", options.tolerance)));
-    }
-    Ok(())
 }
 
 /// Returns the bytes that are needed.
