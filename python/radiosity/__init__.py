@@ -14,7 +14,8 @@ one-sided, counter-clockwise seen from the front.
 
 from importlib.metadata import version as _version
 
-from . import mitsuba, scenes
+from . import mitsuba, plot, scenes
+from .bounces import bounces
 from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
 from .load import load
 from .render import Camera, render, save_image
@@ -32,12 +33,14 @@ __all__ = [
     "Scene",
     "Solution",
     "ambient",
+    "bounces",
     "forecast",
     "form_factor",
     "form_factors",
     "load",
     "mitsuba",
     "pair_form_factors",
+    "plot",
     "render",
     "save_image",
     "scenes",

@@ -30,6 +30,7 @@ class _Solved(TypedDict):
     unshot: _Floats
     residual: float
     error_estimate: float
+    bound: _Floats
     audit: list[_Floats] | None
     failure: str | None
 

@@ -23,7 +23,12 @@ class Step:
 
 @dataclass(frozen=True)
 class EnergyAudit:
-    """Where the power went, W per band: emitted = absorbed + left + unshot, to rounding."""
+    """Where the power went, W per band: emitted = absorbed + left + unshot.
+
+    To rounding for form factors, and for rays in a closed scene. In an open scene rays estimate what leaves, from the
+    mean radiosity of every patch: the imbalance is the error of that, which coarse patches beside an opening make
+    large, and says little of the radiosity.
+    """
 
     emitted: FloatArray
     """(b,) sum of A E."""
@@ -59,6 +64,10 @@ class Report:
     """The energy audit; None for a matrix without areas."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Wall-clock seconds per stage."""
+    bound: FloatArray | None = None
+    """(b,) how far any patch can be from the exact solution with this very F at most, W/m^2: the largest residual over
+    1 - max(rho times row sum) (Neumann's series). Infinite where a patch reflects all that it gathers; None from
+    :func:`radiosity.solve` by rays, which has no stored F."""
     segments: int = 0
     """Segments cast for visibility."""
     rays: int = 0
@@ -79,6 +88,9 @@ class Report:
             f"{self.patches} patches, {self.bands} bands, method {self.method}",
             f"steps      {self.steps}, relative residual {self.residual:.2e}",
         ]
+        if self.bound is not None:
+            worst = "  ".join(f"{value:.1e}" for value in self.bound)
+            lines.append(f"bound      no patch is off by more than {worst} W/m^2 with this F")
         if self.row_error is not None:
             lines.append(f"F          row error about {self.row_error:.1e}, {self.segments} segments cast")
         if self.rays:

@@ -57,11 +57,12 @@ def solve_system(
         emission: E, W/m^2; scalar, (b,) or (n, b).
         reflectance: rho in [0, 1]; scalar, (b,) or (n, b).
         method: ``"direct"`` (LU), ``"jacobi"`` (step k is the light after k bounces), ``"gauss_seidel"`` (gathering),
-            ``"southwell"`` (progressive refinement, shooting: the largest unshot power first) or ``"gmres"``.
+            ``"southwell"`` (progressive refinement, shooting: the largest unshot power first), ``"overshooting"`` (the
+            same, with what is going to arrive) or ``"gmres"``.
         tolerance: relative residual to reach: ||E + rho F B - B|| <= tolerance ||E|| in every band, with area-weighted
             norms; in (0, 1).
         max_iterations: steps allowed; None for a generous limit. A step is a bounce (jacobi), a sweep (gauss_seidel), a
-            shot (southwell), a Krylov vector (gmres) or the factorisation (direct).
+            shot (southwell, overshooting), a Krylov vector (gmres) or the factorisation (direct).
         on_iteration: called as ``on_iteration(step, radiosity, unshot)`` after every step, with (n, b) arrays. An
             exception that it raises stops the solver and is passed on.
         threads: None for all cores. The result is the same for any number.
@@ -73,8 +74,8 @@ def solve_system(
         ConvergenceError: the steps ran out; it carries the history and the unfinished solution.
 
     Sources:
-        Goral et al. 1984 (direct); Cohen & Greenberg 1985 (Gauss-Seidel); Cohen et al. 1988 (Southwell); Saad & Schultz
-        1986 (GMRES).
+        Goral et al. 1984 (direct); Cohen & Greenberg 1985 (Gauss-Seidel); Cohen et al. 1988 (Southwell);
+        Feda & Purgathofer 1992 (overshooting); Saad & Schultz 1986 (GMRES).
     """
     core, scene, segments, row_error = _operator(F)
     n = core.n
@@ -111,6 +112,7 @@ def solve_system(
             steps=len(history),
             residual=result["residual"],
             audit=None if audit is None else EnergyAudit(*audit),
+            bound=read_only(result["bound"]),
             seconds={"solve": seconds},
             segments=segments,
             row_error=row_error,
@@ -162,6 +164,8 @@ def solve(
         tolerance: relative error of the patch averages of the reflected radiosity B - E (area-weighted RMS, the worst
             band) against the continuous solution, in (0, 1): sampling and discretisation, the error of a simple
             function on every patch, together. In a band that reflects nothing the irradiance takes the place of B - E.
+            It is an error of all patches together: one in deep shadow may be off by more of its own value, and even
+            come out slightly negative, within its standard error. Nothing is clipped.
         method: ``"rays"``, light straight from the lamps by closed forms and all other by quasi-random rays; or
             ``"dense"``, form factors of all pairs and GMRES, with one radiosity a patch. ``"auto"`` is ``"rays"``,
             which reach the same true error sooner (``radiosity bench`` compares them).
@@ -195,7 +199,8 @@ def solve(
         report = solution.report
         warnings.warn(
             f"the error is about {solution.error_estimate:.2g}, above the tolerance {tolerance:g}: "
-            f"{report.sampling_error:.2g} from sampling, {report.discretisation_error:.2g} from discretisation",
+            f"{report.sampling_error:.2g} from sampling, {report.discretisation_error:.2g} from discretisation "
+            "(lowered by method='rays' with refine=True, or by scene.subdivide)",
             UserWarning,
             stacklevel=2,
         )
@@ -214,9 +219,9 @@ def forecast(
 ) -> Forecast:
     """What :func:`solve` by rays would take, told from its first rounds of sampling.
 
-    The arguments are those of :func:`solve`. The bytes are those that it asks for, unless later rounds find the patches too
-    coarse and cut them. The seconds are extrapolated from two rounds, which take up to a third of the whole: mostly good to
-    a factor of 1.5.
+    The arguments are those of :func:`solve`. The bytes are those that it asks for, unless later rounds find the patches
+    too coarse and cut them. The seconds are extrapolated from two rounds, which take up to a third of the whole (all of
+    a short one): mostly good to a factor of 1.5, and too low by up to 4 where those do not show what is to come.
 
     Raises:
         ValueError, MemoryError: as :func:`solve`.

@@ -66,7 +66,8 @@ pub(super) fn solve<'py>(
 }
 
 fn to_dict(py: Python<'_>, solved: Solved, bands: usize) -> PyResult<Bound<'_, PyDict>> {
-    let Solved { radiosity, irradiance, standard_error, history, residual, failure, error_estimate, audit } = solved;
+    let Solved { radiosity, irradiance, standard_error, history, residual, failure, error_estimate, bound, audit } =
+        solved;
     let dict = PyDict::new(py);
     dict.set_item("radiosity", table(py, radiosity, bands)?)?;
     dict.set_item("irradiance", table(py, irradiance, bands)?)?;
@@ -75,6 +76,7 @@ fn to_dict(py: Python<'_>, solved: Solved, bands: usize) -> PyResult<Bound<'_, P
     dict.set_item("unshot", table(py, history.into_iter().flat_map(|step| step.unshot).collect(), bands)?)?;
     dict.set_item("residual", residual)?;
     dict.set_item("error_estimate", error_estimate)?;
+    dict.set_item("bound", vector(py, bound))?;
     let audit = audit.map(|Audit { emitted, absorbed, left, unshot }| {
         [emitted, absorbed, left, unshot].map(|power| vector(py, power))
     });

@@ -6,6 +6,7 @@
 //! | `jacobi` | [`jacobi`] | one bounce of all the light | light after k bounces |
 //! | `gauss_seidel` | [`gauss_seidel`] | every patch gathers once, in turn | |
 //! | `southwell` | [`southwell`] | the brightest patch shoots | |
+//! | `overshooting` | [`southwell`] | the same, with what is going to arrive | |
 //! | `gmres` | [`gmres`] | one Krylov vector | least residual in k dimensions |
 //!
 //! The residual r = E + rho F B - B of a radiosity B is the *unshot* radiosity: light that has arrived but has not been
@@ -54,16 +55,19 @@ pub enum Method {
     #[doc(alias = "progressive")]
     #[doc(alias = "shooting")]
     Southwell,
+    /// Southwell relaxation that shoots ahead of what arrives.
+    Overshooting,
     /// Generalised minimal residual.
     Gmres,
 }
 
 /// Every method with its public name.
-pub const METHODS: [(&str, Method); 5] = [
+pub const METHODS: [(&str, Method); 6] = [
     ("direct", Method::Direct),
     ("jacobi", Method::Jacobi),
     ("gauss_seidel", Method::GaussSeidel),
     ("southwell", Method::Southwell),
+    ("overshooting", Method::Overshooting),
     ("gmres", Method::Gmres),
 ];
 
@@ -126,6 +130,13 @@ pub struct Solved {
     /// Estimated distance to the solution with exact F on the same patches, relative to ||B - E||, the largest over the
     /// bands.
     pub error_estimate: f64,
+    /// How far any patch can be from the solution with this very F at most, W/m^2, one a band:
+    ///
+    ///   |B_i - B*_i|  <=  max over j of |r_j|  /  (1 - max over j of rho_j times row sum j)
+    ///
+    /// since (I - rho F)^-1 = 1 + rho F + (rho F)^2 + ... and no row of rho F sums to more (Neumann's series; F >= 0). Infinite
+    /// where a row reflects all that it gathers.
+    pub bound: Vec<f64>,
     /// Where the power went; `None` without areas.
     pub audit: Option<Audit>,
 }
@@ -155,13 +166,15 @@ pub fn solve(system: &System, method: Method, options: &Options, observe: &mut O
         Method::Direct => direct::solve(system, options, &mut run),
         Method::Jacobi => jacobi::solve(system, &mut run),
         Method::GaussSeidel => gauss_seidel::solve(system, &mut run),
-        Method::Southwell => southwell::solve(system, &mut run),
+        Method::Southwell => southwell::solve(system, &mut run, false),
+        Method::Overshooting => southwell::solve(system, &mut run, true),
         Method::Gmres => gmres::solve(system, &mut run).map(|(radiosity, _)| radiosity),
     }?;
     let (history, failure) = (run.history, run.failure);
     let irradiance = irradiance(system, &radiosity);
     let unshot = residual(system, &irradiance, &radiosity);
     let estimate = estimate::estimate(system, &radiosity, &irradiance, &unshot)?;
+    let bound = bound(system, &radiosity, &unshot);
     let audit = system.form_factors.areas().map(|areas| audit(system, areas, &radiosity, &irradiance, &unshot));
     Ok(Solved {
         residual: history.last().map_or(0.0, |step| step.residual),
@@ -171,6 +184,7 @@ pub fn solve(system: &System, method: Method, options: &Options, observe: &mut O
         history,
         failure,
         error_estimate: estimate.error,
+        bound,
         audit,
     })
 }
@@ -341,6 +355,20 @@ fn irradiance(system: &System, radiosity: &[f64]) -> Vec<f64> {
     let mut out = vec![0.0; radiosity.len()];
     system.form_factors.apply(radiosity, system.bands, &mut out);
     out
+}
+
+/// See [`Solved::bound`].
+fn bound(system: &System, radiosity: &[f64], unshot: &[f64]) -> Vec<f64> {
+    let System { form_factors, reflectance, bands, .. } = *system;
+    let row_sums = form_factors.row_sums();
+    let most = |values: &[f64], b: usize| values.iter().skip(b).step_by(bands).fold(0.0f64, |m, x| worse(m, x.abs()));
+    let of_band = |b: usize| {
+        let returned = row_sums.iter().enumerate().fold(0.0f64, |m, (i, sum)| m.max(reflectance[i * bands + b] * sum));
+        // The residual itself is a sum of n + 2 numbers that are no larger than the largest radiosity, to rounding.
+        let rounding = (row_sums.len() + 2) as f64 * f64::EPSILON * most(radiosity, b);
+        if returned < 1.0 { (most(unshot, b) + rounding) / (1.0 - returned) } else { f64::INFINITY }
+    };
+    (0..bands).map(of_band).collect()
 }
 
 fn audit(system: &System, areas: &[f64], radiosity: &[f64], irradiance: &[f64], unshot: &[f64]) -> Audit {

@@ -4,6 +4,10 @@
 //! 1988, who rediscovered Southwell 1946 (Gortler, Cohen & Slusallek 1994): the picture is useful after few shots, and
 //! a shot touches one column of F.
 //!
+//! *Overshooting* (Feda & Purgathofer 1992, "Accelerating radiosity by overshooting") shoots also what is going to arrive: with
+//! the ambient radiosity a of all that is under way, the patch sends dB_i + rho_i a, and owes what it has sent too early,
+//! dB_i = -rho_i a, which later light pays, or a shot of negative light. In a white room that saves most of the shots.
+//!
 //! For display, the light still under way may be spread evenly over the scene ([`ambient`], ibid. eq. 13 to 16). It is never
 //! part of the solution.
 
@@ -13,22 +17,36 @@ use crate::error::Result;
 /// Shots allowed per patch.
 const MOST_SHOTS_A_PATCH: usize = 10_000;
 
-pub(super) fn solve(system: &System, run: &mut Run) -> Result<Vec<f64>> {
+pub(super) fn solve(system: &System, run: &mut Run, overshoots: bool) -> Result<Vec<f64>> {
     let System { form_factors, emission, reflectance, bands } = *system;
     let n = form_factors.len();
     let area = |i: usize| form_factors.areas().map_or(1.0, |areas| areas[i]);
+    // What is under way is lit once more by 1 / (1 - mean of rho times row sum), a geometric series; not where that has no end.
+    let (row_sums, total) = (form_factors.row_sums(), (0..n).map(area).sum::<f64>());
+    let series = |b: usize| {
+        let loss = 1.0 - (0..n).map(|i| area(i) * reflectance[i * bands + b] * row_sums[i]).sum::<f64>() / total;
+        if overshoots && loss > 0.0 { 1.0 / (loss * total) } else { 0.0 }
+    };
+    let series: Vec<f64> = (0..bands).map(series).collect();
     let mut radiosity = vec![0.0; n * bands];
     let mut unshot = emission.to_vec();
     let mut received = vec![0.0; n * bands];
     loop {
-        let power = |i: usize| area(i) * unshot[i * bands..][..bands].iter().sum::<f64>();
+        let mut ambient = vec![0.0; bands];
+        if overshoots {
+            for (i, row) in unshot.chunks_exact(bands).enumerate() {
+                (0..bands).for_each(|b| ambient[b] += series[b] * area(i) * row[b]);
+            }
+        }
+        let due = |k: usize| unshot[k] + reflectance[k] * ambient[k % bands];
+        let power = |i: usize| area(i) * (i * bands..(i + 1) * bands).map(due).sum::<f64>().abs();
         // The lowest number among equals, so that the order of shots is the same every time.
         let brightest =
             (0..n).map(|i| (i, power(i))).fold((0, -1.0), |best, next| if next.1 > best.1 { next } else { best }).0;
         let range = brightest * bands..(brightest + 1) * bands;
-        let amount = unshot[range.clone()].to_vec();
+        let amount: Vec<f64> = range.clone().map(due).collect();
         radiosity[range.clone()].iter_mut().zip(&amount).for_each(|(b, r)| *b += r);
-        unshot[range].fill(0.0);
+        unshot[range].iter_mut().zip(&amount).for_each(|(r, sent)| *r -= sent);
         received.fill(0.0);
         form_factors.shoot(brightest, &amount, &mut received);
         for ((r, rho), h) in unshot.iter_mut().zip(reflectance).zip(&received) {

@@ -26,15 +26,15 @@ def test_the_true_error_is_within_the_tolerance_and_the_estimate_tells_it(name, 
         # A tolerance that is not met would be a warning, and every warning is an error here.
         solution = rad.solve(reference.scene, tolerance, seed=seed)
         error, noise = references.error_of_the_worst_band(reference, solution)
-        # The solver goes on until the squared error of its samples meets the goal even two standard deviations above its mean,
-        # by the spread of its scrambles, and keeps 8 % of the tolerance for what that does not see. One run in a hundred or
-        # two may still miss by a few per cent.
+        # The solver goes on until the squared error of its samples meets the goal even two standard deviations above
+        # its mean, by the spread of its scrambles, and keeps 8 % of the tolerance for what that does not see. One run
+        # in some hundreds may still miss by a few per cent.
         assert error <= tolerance, (seed, error, solution.report)
         assert solution.error_estimate <= tolerance
         # Below twice the noise of the reference the true error is not measurable: taking the noise off in quadrature
         # leaves a difference of like numbers. Above, it is known to a sixth or better, and the rest of the factor
-        # of two is for the scatter of a single error about its mean (up to 35 % here, where few patches have most of it) and
-        # for the few degrees of freedom in what all patches share, which 4 scrambles tell by 3.
+        # of two is for the scatter of a single error about its mean (up to 35 % here, where few patches have most of
+        # it) and for the few degrees of freedom in what all patches share, which 4 scrambles tell by 3.
         if error > 2 * noise and error > ROUNDING:
             assert 0.5 <= solution.error_estimate / error <= 2, (seed, error, solution.report)
 

@@ -8,7 +8,7 @@ import scipy.sparse
 
 import radiosity as rad
 
-ITERATIVE = ["jacobi", "gauss_seidel", "southwell", "gmres"]
+ITERATIVE = ["jacobi", "gauss_seidel", "southwell", "overshooting", "gmres"]
 METHODS = ["direct", *ITERATIVE]
 
 
@@ -214,7 +214,7 @@ def test_a_scene_without_emission_is_dark_and_says_so():
 
 def test_bad_arguments_are_named(room):
     F, emission, reflectance = room
-    with pytest.raises(ValueError, match='"direct", "jacobi", "gauss_seidel", "southwell", "gmres"'):
+    with pytest.raises(ValueError, match='"direct", "jacobi", "gauss_seidel", "southwell", "overshooting", "gmres"'):
         rad.solve_system(F, emission, reflectance, method="magic")
     with pytest.raises(ValueError, match=r"patch 0: reflectance 1.5 is outside \[0, 1\]"):
         rad.solve_system(F, emission, 1.5)
@@ -263,3 +263,33 @@ def test_too_large_a_factorisation_is_refused(monkeypatch, room):
     F, emission, reflectance = room
     with pytest.raises(MemoryError, match=r"LU factorisation .* use an iterative method"):
         rad.solve_system(F, emission, reflectance, method="direct")
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-4, 1e-12])
+def test_no_patch_is_further_from_lu_than_the_bound(room, method, tolerance):
+    F, emission, reflectance = room
+    solution = rad.solve_system(F, emission, reflectance, method=method, tolerance=tolerance)
+    off = np.abs(solution.radiosity - exact(F, emission, reflectance)).max(axis=0)
+    # LAPACK's own rounding: the condition of I - rho F, 20 at the most, times n numbers rounded at 1.1e-16 each.
+    rounding = 20 * len(emission) * 1.2e-16 * solution.radiosity.max(axis=0)
+    assert (off <= solution.report.bound + rounding).all()
+    # A bound that could never fail would prove nothing: it is of the size of the residual over 1 - rho.
+    assert (solution.report.bound < 1e3 * tolerance * solution.radiosity.max(axis=0) + 1e-9).all()
+    assert "no patch is off by more than" in str(solution.report)
+
+
+def test_the_bound_is_infinite_where_all_is_reflected():
+    F = np.array([[0.0, 1.0], [0.5, 0.0]])
+    solution = rad.solve_system(F, 1.0, [[1.0, 0.5], [0.5, 0.5]])
+    # Row 0 reflects all that it gathers in band 0, although the system has a solution.
+    assert np.isinf(solution.report.bound).tolist() == [True, False]
+
+
+def test_overshooting_saves_most_of_the_shots_of_a_white_room(room):
+    F, emission, _ = room
+    shots = {
+        method: rad.solve_system(F, emission, 0.95, method=method, tolerance=1e-3).report.steps
+        for method in ("southwell", "overshooting")
+    }
+    assert shots["overshooting"] < 0.5 * shots["southwell"]

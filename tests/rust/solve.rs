@@ -370,7 +370,7 @@ fn running_out_of_steps_returns_what_was_reached() {
         assert_eq!(solved.radiosity, last);
         assert_eq!(solved.residual, solved.history[2].residual);
         assert!(solved.residual > 1e-9);
-        assert!(solved.residual < solved.history[0].residual || name == "southwell");
+        assert!(solved.residual < solved.history[0].residual || ["southwell", "overshooting"].contains(&name));
         // One step more than enough is no failure.
         let enough = run(&system, method, &options(1e-3)).unwrap();
         let limited = Options { max_iterations: Some(enough.history.len()), ..options(1e-3) };
@@ -614,7 +614,7 @@ fn the_error_estimate_is_the_distance_to_the_solution() {
             }
         }
     }
-    assert_eq!(checked, 2 * 3 * 4 * 4);
+    assert_eq!(checked, 2 * 3 * (METHODS.len() - 1) * 4);
 }
 
 #[test]
