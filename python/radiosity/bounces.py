@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 __all__ = ["bounces"]
 
+# Methods whose step is a shot.
+SHOTS = ("southwell", "overshooting")
+
 
 def bounces(
     scene_or_F: Scene | FormFactors | FloatArray | scipy.sparse.sparray,
@@ -41,8 +44,9 @@ def bounces(
     """The solution after each step of a solver, made as it is asked for.
 
     A step of ``"jacobi"`` is a bounce of all the light: the first shows light straight from the emitters, every
-    later one adds a bounce. A step of ``"southwell"`` or ``"overshooting"`` is the shot of one patch, of
-    ``"gauss_seidel"`` a sweep, of ``"gmres"`` a Krylov vector.
+    later one adds a bounce. A step of ``"southwell"`` or ``"overshooting"`` is the shot of one patch, and what it has
+    lit counts as lit, though it has not been sent on (Cohen, Chen, Wallace & Greenberg 1988). A step of
+    ``"gauss_seidel"`` is a sweep, of ``"gmres"`` a Krylov vector.
 
     Args:
         scene_or_F: a :class:`Scene`, whose form factors are computed first to a row tolerance of 1e-2; or what
@@ -52,15 +56,16 @@ def bounces(
         method: as in :func:`solve_system`.
         every: yield every so many steps only, and the last one. Each costs a product with F.
         ambient: add the light still under way, spread evenly (:func:`ambient`): for display, as progressive refinement
-            was first shown (Cohen, Chen, Wallace & Greenberg 1988). The unshot power in ``.history`` is not changed.
+            was first shown (ibid.). The unshot power in ``.history`` is not changed.
         tolerance: relative residual at which to end, in (0, 1).
         max_iterations: steps allowed; where they run out, the iterator just ends.
         threads: None for all cores.
         progress: see :mod:`radiosity.progress`.
 
     Yields:
-        Solutions. ``.history`` holds the one step that led to it, ``.report.steps`` its number; ``.error_estimate`` is
-        infinite: what an unfinished solution lacks is not estimated.
+        Solutions, with B = E + rho H where anything is reflected. ``.history`` holds the one step that led to it,
+        ``.report.steps`` its number; ``.error_estimate`` is infinite: what an unfinished solution lacks is not
+        estimated.
 
     Raises:
         TypeError, ValueError, MemoryError: as :func:`form_factors` and :func:`solve_system`, at the first step.
@@ -83,12 +88,18 @@ def bounces(
         size = np.sqrt(areas @ e**2)
         residual = np.divide(np.sqrt(areas @ unshot**2), size, out=np.zeros_like(size), where=size > 0)
         power = areas @ np.abs(unshot)
-        if ambient:
-            radiosity = radiosity + rho * ambient_radiosity(areas, unshot, rho)
         largest = float(residual.max())
+        arriving = F @ radiosity
+        if method in SHOTS:
+            radiosity = e + rho * arriving
+        else:
+            arriving = np.divide(radiosity - e, rho, out=np.ascontiguousarray(arriving), where=rho > 0)
+        if ambient:
+            light = ambient_radiosity(areas, unshot, rho)
+            radiosity, arriving = radiosity + rho * light, arriving + light
         return Solution(
             radiosity=read_only(radiosity),
-            irradiance=read_only(np.ascontiguousarray(F @ radiosity)),
+            irradiance=read_only(arriving),
             standard_error=None,
             error_estimate=math.inf,
             history=(Step(largest, power),),

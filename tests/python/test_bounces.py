@@ -21,10 +21,11 @@ def test_a_step_of_jacobi_is_a_bounce(box):
     scene, F = box
     radiosity = scene.emission
     for count, solution in enumerate(rad.bounces(F, tolerance=1e-4), 1):
-        radiosity = scene.emission + scene.reflectance * (F @ radiosity)
+        irradiance = F @ radiosity
+        radiosity = scene.emission + scene.reflectance * irradiance
         # The same sums in another order.
         assert np.allclose(solution.radiosity, radiosity, rtol=1e-12, atol=1e-12)
-        assert np.allclose(solution.irradiance, F @ radiosity, rtol=1e-12, atol=1e-12)
+        assert np.allclose(solution.irradiance, irradiance, rtol=1e-9, atol=1e-9)
         assert solution.report.steps == count
         last = solution
     assert last.history[-1].residual <= 1e-4
@@ -40,6 +41,16 @@ def test_a_scene_is_enough(box):
     assert first.scene is not None
     assert (first.radiosity >= scene.emission).all()
     assert first.report.steps == 1
+
+
+def test_a_shot_lights_what_it_reaches(box):
+    scene, F = box
+    first = next(iter(rad.bounces(F, method="southwell")))
+    # The brightest patch has shot all that it emits: its column of F.
+    brightest = int(np.argmax((scene.areas[:, None] * scene.emission).sum(axis=1)))
+    arriving = F.toarray()[:, [brightest]] * scene.emission[brightest]
+    assert np.allclose(first.irradiance, arriving, rtol=1e-12, atol=1e-15)
+    assert np.allclose(first.radiosity, scene.emission + scene.reflectance * arriving, rtol=1e-12, atol=1e-15)
 
 
 def test_every_so_many_and_the_last(box):
