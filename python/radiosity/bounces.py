@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import math
 import queue
 import threading
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+import weakref
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -16,8 +18,8 @@ from .form_factors import FormFactors, form_factors
 from .progress import Progress
 from .scene import Scene
 from .solution import ConvergenceError, Report, Solution, Step
+from .solve import OnIteration, solve_system
 from .solve import ambient as ambient_radiosity
-from .solve import solve_system
 
 if TYPE_CHECKING:
     import scipy.sparse
@@ -68,7 +70,9 @@ def bounces(
         estimated.
 
     Raises:
-        TypeError, ValueError, MemoryError: as :func:`form_factors` and :func:`solve_system`, at the first step.
+        TypeError, ValueError, MemoryError: as :func:`form_factors` at the call, as :func:`solve_system` at the first
+            step.
+        ConvergenceError: the method diverged, or used up its own limit of steps.
     """
     every = whole_number("every", every, 1, 2**62)
     F: Any = scene_or_F
@@ -90,7 +94,7 @@ def bounces(
         power = areas @ np.abs(unshot)
         largest = float(residual.max())
         arriving = F @ radiosity
-        if method in SHOTS:
+        if method in SHOTS or ambient:
             radiosity = e + rho * arriving
         else:
             arriving = np.divide(radiosity - e, rho, out=np.ascontiguousarray(arriving), where=rho > 0)
@@ -108,47 +112,89 @@ def bounces(
         )
 
     def steps() -> Iterator[Solution]:
-        # The solver runs in a thread of its own and waits for every step to be taken from it.
-        taken: queue.Queue[tuple[int, FloatArray, FloatArray] | BaseException | None] = queue.Queue(maxsize=1)
-        stopped = threading.Event()
-        last: tuple[int, FloatArray, FloatArray] | None = None
+        def solve(give: OnIteration) -> None:
+            solve_system(F, e, rho, method, tolerance, max_iterations, give, threads, progress)
 
-        def give(step: int, radiosity: FloatArray, unshot: FloatArray) -> None:
-            nonlocal last
-            last = (step, radiosity, unshot)
-            if step % every == 0:
-                taken.put(last)
-            if stopped.is_set():
-                raise _StoppedError
-
-        def run() -> None:
-            try:
-                solve_system(F, e, rho, method, tolerance, max_iterations, give, threads, progress)
-            except (_StoppedError, ConvergenceError):
-                pass
-            except BaseException as error:
-                taken.put(error)
-                return
-            if last is not None and last[0] % every:
-                taken.put(last)
-            taken.put(None)
-
-        thread = threading.Thread(target=run, daemon=True)
-        thread.start()
+        solver = _Solver(every, solve)
         try:
-            while (item := taken.get()) is not None:
+            while (item := solver.taken.get()) is not None:
                 if isinstance(item, BaseException):
+                    if _ran_out(item, max_iterations):
+                        return
                     raise item
                 yield solution(*item)
         finally:
-            stopped.set()
-            while thread.is_alive():
-                # Room for what it may be waiting to hand over.
-                with contextlib.suppress(queue.Empty):
-                    taken.get(timeout=0.05)
+            solver.stop(timeout=1.0)
 
     return steps()
 
 
+def _ran_out(error: BaseException, max_iterations: int | None) -> bool:
+    """Whether the steps that the user allowed are used up: no failure here."""
+    return (
+        isinstance(error, ConvergenceError)
+        and max_iterations is not None
+        and error.solution.report.steps >= max_iterations
+    )
+
+
+_Item: TypeAlias = tuple[int, FloatArray, FloatArray]
+
+
 class _StoppedError(Exception):
     """Nobody asks for further steps."""
+
+
+class _Solver:
+    """A solver in a thread of its own, which waits for every step to be taken from it."""
+
+    def __init__(self, every: int, solve: Callable[[OnIteration], object]) -> None:
+        self.taken: queue.Queue[_Item | BaseException | None] = queue.Queue(maxsize=1)
+        self._stopped = threading.Event()
+        self._every = every
+        self._last: _Item | None = None
+        self._thread = threading.Thread(target=self._run, args=(solve,), daemon=True)
+        _running.add(self)
+        self._thread.start()
+
+    def _run(self, solve: Callable[[OnIteration], object]) -> None:
+        end: BaseException | None = None
+        try:
+            solve(self._give)
+        except _StoppedError:
+            return
+        except BaseException as error:  # Whatever it is, it belongs to whoever asks for the next step.
+            end = error
+        with contextlib.suppress(_StoppedError):
+            if self._last is not None and self._last[0] % self._every:
+                self._put(self._last)
+            self._put(end)
+
+    def _give(self, step: int, radiosity: FloatArray, unshot: FloatArray) -> None:
+        self._last = (step, radiosity, unshot)
+        if step % self._every == 0:
+            self._put(self._last)
+        elif self._stopped.is_set():
+            raise _StoppedError
+
+    def _put(self, item: _Item | BaseException | None) -> None:
+        while not self._stopped.is_set():
+            with contextlib.suppress(queue.Full):
+                self.taken.put(item, timeout=0.05)
+                return
+        raise _StoppedError
+
+    def stop(self, timeout: float | None = None) -> None:
+        """End at the next step, and wait for that, no longer than ``timeout`` seconds."""
+        self._stopped.set()
+        self._thread.join(timeout)
+
+
+# A thread inside the core must not outlive the interpreter.
+_running: weakref.WeakSet[_Solver] = weakref.WeakSet()
+
+
+@atexit.register
+def _stop_all() -> None:
+    for solver in list(_running):
+        solver.stop()

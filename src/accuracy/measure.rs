@@ -21,7 +21,7 @@ const RESIDUALS: [f64; 2] = [1e-6, 0.03];
 /// Numbers in the columns that are followed together.
 const TOGETHER: usize = 1 << 18;
 /// Vectors of them that are alive at a time: those of Krylov, the sums on the way, sources and results.
-const VECTORS: usize = 20;
+const VECTORS: usize = 40;
 
 /// Bytes that following the residuals takes for a while.
 pub(super) fn bytes_to_follow(n: usize, bands: usize) -> u64 {
@@ -65,6 +65,7 @@ pub(super) struct Measure<'a> {
     probe: Vec<Vec<f64>>,
     /// What the pilot's operator leaves, as either half of the scrambles has it.
     pilot: Vec<Vec<f64>>,
+    halves_end: bool,
     /// Whether a residual has no end.
     diverges: bool,
 }
@@ -72,7 +73,15 @@ pub(super) struct Measure<'a> {
 impl<'a> Measure<'a> {
     pub(super) fn new(mesh: Mesh<'a>, field: Option<&Field>) -> Measure<'a> {
         let start = field.map_or_else(|| vec![0.0; mesh.scene.emission().len()], Field::means);
-        Measure { mesh, start, base: Vec::new(), probe: Vec::new(), pilot: Vec::new(), diverges: false }
+        Measure {
+            mesh,
+            start,
+            base: Vec::new(),
+            probe: Vec::new(),
+            pilot: Vec::new(),
+            halves_end: true,
+            diverges: false,
+        }
     }
 
     fn bands(&self) -> usize {
@@ -102,9 +111,14 @@ impl<'a> Measure<'a> {
         let Some(operator) = &pilot.operator else { return Ok(()) };
         let rho = self.mesh.scene.reflectance();
         // A residual r becomes A r at most, with A the amplification of light.
-        let largest = self.base.iter().map(|r| self.norm(r)).fold(f64::MIN_POSITIVE, f64::max);
-        let share = self.norm(&self.start) / (largest * pilot.amplification);
-        let tolerance = (RESIDUAL * tolerance * share).clamp(RESIDUALS[0], RESIDUALS[1] / pilot.amplification.sqrt());
+        let share = |b: usize| {
+            let largest = self.base.iter().map(|r| self.norm(r, b)).fold(0.0, f64::max);
+            let share = self.norm(&self.start, b) / (largest * pilot.amplification);
+            if share.is_finite() { share } else { 1.0 }
+        };
+        let share = (0..self.bands()).map(share).fold(1.0, f64::min);
+        let most = (RESIDUALS[1] / pilot.amplification.sqrt()).max(RESIDUALS[0]);
+        let tolerance = (RESIDUAL * tolerance * share).clamp(RESIDUALS[0], most);
         // What residuals become, column by column: r + F (I - rho F)^-1 rho r.
         let mut follow = |operator: &Rays, residuals: &mut [Vec<f64>]| -> Result<bool> {
             let system =
@@ -127,9 +141,9 @@ impl<'a> Measure<'a> {
         };
         let means: Vec<Vec<f64>> = vec![half(0), half(1)];
         let mut by_half = [means.clone(), means];
-        let mut ends = true;
         for (which, means) in by_half.iter_mut().enumerate() {
-            ends &= follow(&operator.half(which), means)?;
+            // All that is lost may be in one half of the rays: the other then knows of no end, and nothing is known of T0.
+            self.halves_end &= follow(&operator.half(which), means)?;
         }
         let [first, second] = &by_half;
         let off = |(a, b): (&Vec<f64>, &Vec<f64>)| a.iter().zip(b).map(|(a, b)| 0.5 * (a - b)).collect();
@@ -137,8 +151,7 @@ impl<'a> Measure<'a> {
 
         let probes = (0..SCRAMBLES).filter(|_| probe.total() > 0).map(|s| probe.means(s));
         let mut residuals: Vec<Vec<f64>> = std::mem::take(&mut self.base).into_iter().chain(probes).collect();
-        ends &= follow(operator, &mut residuals)?;
-        self.diverges = !ends;
+        self.diverges = !follow(operator, &mut residuals)?;
         self.probe = residuals.split_off(SCRAMBLES);
         self.base = residuals;
         Ok(())
@@ -146,7 +159,8 @@ impl<'a> Measure<'a> {
 
     /// In a closed scene all that is emitted is absorbed: sum A E = sum A (1 - rho) (D + u), whatever the rays. What bounced is
     /// scaled until this holds, in every scramble for itself: of an error that all patches share, which a white room returns
-    /// 1 / (1 - rho) times, nothing is left. So is nothing of it in what is known of the other errors.
+    /// 1 / (1 - rho) times, nothing is left. So is nothing of it in what is known of the other errors. Only where most is absorbed
+    /// after a bounce: in a dark room what is left for the bounced light has the error of the direct light, many times over.
     pub(super) fn balance(&mut self, base: &Tally, direct: &Direct) {
         if self.base.is_empty() || base.lost.iter().any(|lost| *lost > 0) {
             return;
@@ -156,6 +170,9 @@ impl<'a> Measure<'a> {
         let absorbed = |x: &[f64], b: usize| -> f64 {
             areas.iter().enumerate().map(|(i, area)| area * (1.0 - rho[i * bands + b]) * x[i * bands + b]).sum()
         };
+        let emitted = |b: usize| areas.iter().enumerate().map(|(i, area)| area * scene.emission()[i * bands + b]).sum();
+        let emitted: Vec<f64> = (0..bands).map(emitted).collect();
+        let balances: Vec<bool> = (0..bands).map(|b| absorbed(&self.start, b) >= 0.5 * emitted[b]).collect();
         let mut mean = vec![0.0; self.start.len()];
         for (s, base) in self.base.iter_mut().enumerate() {
             let mut arriving = vec![0.0; mean.len()];
@@ -163,17 +180,15 @@ impl<'a> Measure<'a> {
             rows.for_each(|(i, out)| direct.irradiance_of_scramble(i, s, out));
             base.iter_mut().zip(&self.start).for_each(|(x, start)| *x += start);
             for b in 0..bands {
-                let emitted: f64 =
-                    areas.iter().enumerate().map(|(i, area)| area * scene.emission()[i * bands + b]).sum();
-                let (wanted, found) = (emitted - absorbed(&arriving, b), absorbed(base, b));
-                let scale = if found > 0.0 && wanted > 0.0 { wanted / found } else { 1.0 };
+                let (wanted, found) = (emitted[b] - absorbed(&arriving, b), absorbed(base, b));
+                let scale = if balances[b] && found > 0.0 && wanted > 0.0 { wanted / found } else { 1.0 };
                 base.iter_mut().skip(b).step_by(bands).for_each(|x| *x *= scale);
             }
             mean.iter_mut().zip(base.iter()).for_each(|(mean, x)| *mean += x / SCRAMBLES as f64);
             base.iter_mut().zip(&self.start).for_each(|(x, start)| *x -= start);
         }
         for error in self.probe.iter_mut().chain(&mut self.pilot) {
-            for b in 0..bands {
+            for b in (0..bands).filter(|b| balances[*b]) {
                 let all = absorbed(&mean, b);
                 let share = if all > 0.0 { absorbed(error, b) / all } else { 0.0 };
                 let numbers = error.iter_mut().zip(&mean).skip(b).step_by(bands);
@@ -182,10 +197,10 @@ impl<'a> Measure<'a> {
         }
     }
 
-    /// The square root of the area-weighted sum of squares over all bands.
-    fn norm(&self, x: &[f64]) -> f64 {
-        let bands = self.bands();
-        x.iter().enumerate().fold(0.0f64, |sum, (k, x)| sum.hypot(self.mesh.scene.areas()[k / bands].sqrt() * x))
+    /// The square root of the area-weighted sum of squares of one band.
+    fn norm(&self, x: &[f64], b: usize) -> f64 {
+        let band = x.iter().skip(b).step_by(self.bands()).zip(self.mesh.scene.areas());
+        band.fold(0.0f64, |sum, (x, area)| sum.hypot(area.sqrt() * x))
     }
 
     /// How much more than its neighbours every patch of the mesh should be sampled by the base: for variances A V_i m_i^-p
@@ -267,6 +282,7 @@ impl<'a> Measure<'a> {
             let (variances, spreads) = (variances.each_ref().map(|x| x[b]), spreads.each_ref().map(|x| x[b]));
             // Half the difference of halves has the variance of half the rays less that of all.
             let pilot = match pilot.as_slice() {
+                _ if !self.halves_end => f64::INFINITY,
                 [first, second] => units[b].product(first, second).max(0.0) / (2f64.powf(DECAY) - 1.0),
                 _ => 0.0,
             };
@@ -280,7 +296,11 @@ impl<'a> Measure<'a> {
     /// that: of the band with the largest.
     pub(super) fn distance(&self, irradiance: &[f64]) -> (f64, f64) {
         let weight = Weight::new(self.mesh.whole);
-        let sum = |s: usize| self.base[s].iter().zip(&self.probe[s]).map(|(x, y)| x + y).collect();
+        // Where nothing is reflected there is no probe.
+        let sum = |s: usize| match self.probe.get(s) {
+            Some(probe) => self.base[s].iter().zip(probe).map(|(x, y)| x + y).collect(),
+            None => self.base[s].as_slice().into(),
+        };
         let both: Vec<Cow<[f64]>> = (0..self.base.len()).map(sum).collect();
         let of_band = |b: usize| {
             let unit = Unit::new(&weight, b, irradiance);

@@ -151,7 +151,8 @@ fn bytes(n: usize, bands: usize, views: u64, options: &Options) -> u64 {
     let values = bands as u64 * size_of::<f64>() as u64;
     let pilot = pilot_rays(options.tolerance) as u64 * BYTES_OF_TRIP;
     let field = options.order.coefficients() as u64 * values;
-    let by_scramble = 2 * 2 * SCRAMBLES as u64 * values;
+    // Sums, solutions, and some copies on the way.
+    let by_scramble = (2 * 2 * SCRAMBLES as u64 + 8) * values;
     views + n as u64 * (TREES + pilot + field + by_scramble) + bytes_to_follow(n, bands)
 }
 
@@ -252,7 +253,7 @@ fn on_mesh(
                 segments: direct.segments + pilot.segments + base.segments + probe.segments,
                 history: pilot.history,
                 seconds: Vec::new(),
-                bytes,
+                bytes: bytes + n as u64 * (count - pilot_rays(options.tolerance)) as u64 * BYTES_OF_TRIP,
                 missing,
             }));
         }

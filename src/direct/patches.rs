@@ -20,6 +20,8 @@ use crate::visibility::{Bvh, NO_PATCH, Segment};
 
 /// Independent scrambles of every sample.
 pub const SCRAMBLES: usize = 4;
+// Halves of them, and what is left without one, have to have a spread.
+const _: () = assert!(SCRAMBLES >= 4 && SCRAMBLES.is_multiple_of(2));
 
 /// Share of the segments that watch lamps on which all segments have agreed so far: a sliver of a shadow escapes a few.
 const WATCH: f64 = 0.25;

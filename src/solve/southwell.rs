@@ -8,7 +8,7 @@
 //! the ambient radiosity a of all that is under way, the patch sends dB_i + rho_i a, and owes what it has sent too early,
 //! dB_i = -rho_i a, which later light pays, or a shot of negative light. In a white room that saves most of the shots.
 //!
-//! For display, the light still under way may be spread evenly over the scene ([`ambient`], ibid. eq. 13 to 16). It is never
+//! For display, the light still under way may be spread evenly over the scene ([`ambient`], Cohen et al. 1988, eq. 13 to 16). It is never
 //! part of the solution.
 
 use super::{Run, System};
@@ -39,7 +39,7 @@ pub(super) fn solve(system: &System, run: &mut Run, overshoots: bool) -> Result<
             }
         }
         let due = |k: usize| unshot[k] + reflectance[k] * ambient[k % bands];
-        let power = |i: usize| area(i) * (i * bands..(i + 1) * bands).map(due).sum::<f64>().abs();
+        let power = |i: usize| area(i) * (i * bands..(i + 1) * bands).map(|k| due(k).abs()).sum::<f64>();
         // The lowest number among equals, so that the order of shots is the same every time.
         let brightest =
             (0..n).map(|i| (i, power(i))).fold((0, -1.0), |best, next| if next.1 > best.1 { next } else { best }).0;

@@ -209,6 +209,17 @@ def test_no_emission_is_darkness_and_a_warning():
         assert solution.error_estimate == 0
 
 
+# Dense form factors have an error, which comes back 1 / (1 - rho) times.
+@pytest.mark.parametrize(
+    ("method", "rho"),
+    [("rays", rho) for rho in (0.0, 1e-9, 0.999, 1 - 1e-6, 1 - 1e-9)] + [("dense", rho) for rho in (0.0, 1e-9)],
+)
+def test_furnaces_of_any_reflectance(method, rho):
+    solution = rad.solve(rad.scenes.furnace(reflectance=rho), 0.1, method=method)
+    # Rounding, which comes back 1 / (1 - rho) times.
+    assert np.allclose(solution.radiosity, 1.0 / (1.0 - rho), rtol=1e-6)
+
+
 # --- Memory -----------------------------------------------------------------------------------------------------------
 
 

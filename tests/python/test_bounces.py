@@ -1,5 +1,7 @@
 """Every bounce visible: the steps of the solvers one by one, and their pictures."""
 
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -80,8 +82,14 @@ def test_who_stops_asking_stops_the_solver(box):
     steps = rad.bounces(F, 1.0, 0.999, method="jacobi", tolerance=1e-9)
     next(steps)
     next(steps)
+    assert threading.active_count() == before + 1
     steps.close()
     assert threading.active_count() == before
+
+
+def test_a_program_may_end_in_the_middle():
+    program = "import numpy as np, radiosity as rad; s = rad.bounces(np.full((50, 50), 0.02), 1.0, 0.9999); next(s)"
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
 
 
 def test_steps_that_run_out_end_the_iterator(box):
@@ -120,7 +128,7 @@ def test_a_strip_of_pictures(box):
 
 def test_an_animation(box, tmp_path):
     _, F = box
-    solutions = list(rad.bounces(F, tolerance=1e-3))
+    solutions = list(rad.bounces(F, tolerance=1e-3))[:3]
     rad.plot.animation(solutions, CAMERA, tmp_path / "bounces.gif", size=32, seconds=0.1)
     with Image.open(tmp_path / "bounces.gif") as image:
         assert image.n_frames == len(solutions)
