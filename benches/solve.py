@@ -13,10 +13,12 @@ import numpy as np
 import radiosity as rad
 
 METHODS = ("direct", "jacobi", "gauss_seidel", "southwell", "overshooting", "gmres")
-# Rows of F touched: by a step, in parts of n, and before the first.
-ROWS = {"direct": (1, 0), "jacobi": (1, 1), "gauss_seidel": (1, 0), "gmres": (1, 1)}
+# Products with F before the first step; a step is one, but for shots, which touch one column.
+BEFORE = {"jacobi": 1, "gmres": 1}
 SHOTS = ("southwell", "overshooting")
 WANTED = 1e-3
+# Lower edge of the panels.
+LOWEST = 1e-6
 MOST_STEPS = {"jacobi": 20_000, "gauss_seidel": 20_000, "southwell": 200_000, "overshooting": 200_000}
 
 
@@ -32,7 +34,7 @@ def scenes():
 
 
 def history(F, scene, exact, method):
-    """Arrays of rows touched / n, seconds, residual and error, one entry a step; and whether it ended."""
+    """Arrays of rows touched / n, seconds, residual and error, one entry a step."""
     steps, spent = [], 0.0
     start = time.perf_counter()
     areas, e = scene.areas, scene.emission
@@ -42,11 +44,7 @@ def history(F, scene, exact, method):
     def observe(step, radiosity, unshot):
         nonlocal spent
         now = time.perf_counter()
-        if method in SHOTS:
-            rows = step / scene.n_patches
-        else:
-            each, before = ROWS[method]
-            rows = before + each * step
+        rows = step / scene.n_patches if method in SHOTS else BEFORE.get(method, 0) + step
         error = (np.sqrt(areas @ (radiosity - exact) ** 2) / light).max()
         steps.append((rows, now - start - spent, (np.sqrt(areas @ unshot**2) / emitted).max(), error))
         spent += time.perf_counter() - now
@@ -92,10 +90,14 @@ def draw(rows, path) -> None:
     for (name, paths), pair in zip(rows, panels, strict=True):
         for panel, column, label in ((pair[0], 0, "rows of F touched / n"), (pair[1], 1, "seconds")):
             for k, (method, steps) in enumerate(paths.items()):
+                # One point, far below the axis: it stands on the edge.
                 marker = "o" if len(steps) == 1 else None
-                panel.loglog(steps[:, column], steps[:, 3], color=f"C{k}", marker=marker, label=method)
+                errors = np.maximum(steps[:, 3], LOWEST) if marker else steps[:, 3]
+                panel.loglog(
+                    steps[:, column], errors, clip_on=marker is None, color=f"C{k}", marker=marker, label=method
+                )
                 panel.loglog(steps[:, column], steps[:, 2], color=f"C{k}", linestyle=":", linewidth=1)
-            panel.set(xlabel=label, ylim=(1e-6, 3))
+            panel.set(xlabel=label, ylim=(LOWEST, 3))
             panel.grid(alpha=0.3)
         pair[0].set(title=name, ylabel="error of B - E; residual dotted")
     panels[0][0].legend(fontsize=8)
