@@ -1,8 +1,9 @@
 //! The true error of a solution that came from elsewhere, by rays.
 //!
 //! Its irradiance H, constant on every patch, takes the place of the pilot's field: what base and probe find that it lacks,
-//! followed through all bounces, is its error, sampling and discretisation together. The square of that is estimated without
-//! bias from products of independent scrambles, so that it may be far below the noise of a patch.
+//! followed through all bounces, is its error, sampling and discretisation together. The square of that is estimated from
+//! products of independent scrambles, so that it may be far below the noise of a patch; without bias but for what the pilot's
+//! operator leaves, a small part of the error.
 
 use super::measure::{Measure, Mesh};
 use super::options::Options;

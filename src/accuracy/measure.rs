@@ -65,6 +65,7 @@ pub(super) struct Measure<'a> {
     probe: Vec<Vec<f64>>,
     /// What the pilot's operator leaves, as either half of the scrambles has it.
     pilot: Vec<Vec<f64>>,
+    /// Whether either half of the pilot's rays knows of an end; else nothing is known of what its operator leaves.
     halves_end: bool,
     /// Whether a residual has no end.
     diverges: bool,
@@ -95,12 +96,67 @@ impl<'a> Measure<'a> {
         &self.base
     }
 
-    /// Follows the residuals, and those of the probe, through all bounces by the pilot's operator.
+    /// The relative residual at which following ends: a residual r becomes A r at most, with A the amplification of light.
+    fn end(&self, pilot: &Pilot, tolerance: f64) -> f64 {
+        let share = |b: usize| {
+            let largest = self.base.iter().map(|r| self.norm(r, b)).fold(0.0, f64::max);
+            let share = self.norm(&self.start, b) / (largest * pilot.amplification);
+            if share.is_finite() { share } else { 1.0 }
+        };
+        let share = (0..self.bands()).map(share).fold(1.0, f64::min);
+        let most = (RESIDUALS[1] / pilot.amplification.sqrt()).max(RESIDUALS[0]);
+        (RESIDUAL * tolerance * share).clamp(RESIDUALS[0], most)
+    }
+
+    /// What residuals r become, column by column: r + F (I - rho F)^-1 rho r. Whether that has an end.
+    fn become_light(
+        &self,
+        operator: &Rays,
+        residuals: &mut [Vec<f64>],
+        tolerance: f64,
+        observe: &mut Observer,
+    ) -> Result<bool> {
+        let rho = self.mesh.scene.reflectance();
+        let system = System { form_factors: operator, emission: &[], reflectance: rho, bands: self.bands() };
+        // Columns that go together share every ray, and take memory together.
+        let together = (TOGETHER / residuals[0].len()).clamp(1, residuals.len());
+        for residuals in residuals.chunks_mut(together) {
+            let reflected = |r: &Vec<f64>| r.iter().zip(rho).map(|(r, rho)| r * rho).collect();
+            let sources: Vec<Vec<f64>> = residuals.iter().map(reflected).collect();
+            let Some(followed) = propagated(&system, &sources, tolerance, observe)? else { return Ok(false) };
+            for (residual, arriving) in residuals.iter_mut().zip(followed) {
+                residual.iter_mut().zip(arriving).for_each(|(r, h)| *r += h);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Measures what the pilot's operator leaves, before the residuals are followed.
     ///
     /// Following r by (I - T0)^-1 in place of (I - T)^-1 is a step of Newton's method with an approximate inverse. It leaves
     /// (I - T0)^-1 (T - T0) e with e = u - u0, which all scrambles share, and which none of their rays lowers. Where much light
     /// comes back again and again that is no small thing. It is measured by following the mean residual with either half
     /// of the pilot's rays, for two halves of the scrambles, the product of which is free of their noise.
+    pub(super) fn follow_by_halves(&mut self, pilot: &Pilot, tolerance: f64, observe: &mut Observer) -> Result<()> {
+        let Some(operator) = &pilot.operator else { return Ok(()) };
+        let tolerance = self.end(pilot, tolerance);
+        let half = |which: usize| {
+            let part = &self.base[which * SCRAMBLES / 2..][..SCRAMBLES / 2];
+            (0..self.start.len()).map(|k| part.iter().map(|r| r[k]).sum::<f64>() / part.len() as f64).collect()
+        };
+        let means: Vec<Vec<f64>> = vec![half(0), half(1)];
+        let mut by_half = [means.clone(), means];
+        for (which, means) in by_half.iter_mut().enumerate() {
+            // All that is lost may be in one half of the rays.
+            self.halves_end &= self.become_light(&operator.half(which), means, tolerance, observe)?;
+        }
+        let [first, second] = &by_half;
+        let off = |(a, b): (&Vec<f64>, &Vec<f64>)| a.iter().zip(b).map(|(a, b)| 0.5 * (a - b)).collect();
+        self.pilot = first.iter().zip(second).map(off).collect();
+        Ok(())
+    }
+
+    /// Follows the residuals, and those of the probe, through all bounces by the pilot's operator.
     pub(super) fn follow(
         &mut self,
         pilot: &Pilot,
@@ -109,49 +165,10 @@ impl<'a> Measure<'a> {
         observe: &mut Observer,
     ) -> Result<()> {
         let Some(operator) = &pilot.operator else { return Ok(()) };
-        let rho = self.mesh.scene.reflectance();
-        // A residual r becomes A r at most, with A the amplification of light.
-        let share = |b: usize| {
-            let largest = self.base.iter().map(|r| self.norm(r, b)).fold(0.0, f64::max);
-            let share = self.norm(&self.start, b) / (largest * pilot.amplification);
-            if share.is_finite() { share } else { 1.0 }
-        };
-        let share = (0..self.bands()).map(share).fold(1.0, f64::min);
-        let most = (RESIDUALS[1] / pilot.amplification.sqrt()).max(RESIDUALS[0]);
-        let tolerance = (RESIDUAL * tolerance * share).clamp(RESIDUALS[0], most);
-        // What residuals become, column by column: r + F (I - rho F)^-1 rho r.
-        let mut follow = |operator: &Rays, residuals: &mut [Vec<f64>]| -> Result<bool> {
-            let system =
-                System { form_factors: operator, emission: &[], reflectance: rho, bands: self.mesh.scene.bands() };
-            // Columns that go together share every ray, and take memory together.
-            let together = (TOGETHER / residuals[0].len()).clamp(1, residuals.len());
-            for residuals in residuals.chunks_mut(together) {
-                let reflected = |r: &Vec<f64>| r.iter().zip(rho).map(|(r, rho)| r * rho).collect();
-                let sources: Vec<Vec<f64>> = residuals.iter().map(reflected).collect();
-                let Some(followed) = propagated(&system, &sources, tolerance, observe)? else { return Ok(false) };
-                for (residual, arriving) in residuals.iter_mut().zip(followed) {
-                    residual.iter_mut().zip(arriving).for_each(|(r, h)| *r += h);
-                }
-            }
-            Ok(true)
-        };
-        let half = |which: usize| {
-            let part = &self.base[which * SCRAMBLES / 2..][..SCRAMBLES / 2];
-            (0..self.start.len()).map(|k| part.iter().map(|r| r[k]).sum::<f64>() / part.len() as f64).collect()
-        };
-        let means: Vec<Vec<f64>> = vec![half(0), half(1)];
-        let mut by_half = [means.clone(), means];
-        for (which, means) in by_half.iter_mut().enumerate() {
-            // All that is lost may be in one half of the rays: the other then knows of no end, and nothing is known of T0.
-            self.halves_end &= follow(&operator.half(which), means)?;
-        }
-        let [first, second] = &by_half;
-        let off = |(a, b): (&Vec<f64>, &Vec<f64>)| a.iter().zip(b).map(|(a, b)| 0.5 * (a - b)).collect();
-        self.pilot = first.iter().zip(second).map(off).collect();
-
+        let tolerance = self.end(pilot, tolerance);
         let probes = (0..SCRAMBLES).filter(|_| probe.total() > 0).map(|s| probe.means(s));
         let mut residuals: Vec<Vec<f64>> = std::mem::take(&mut self.base).into_iter().chain(probes).collect();
-        self.diverges = !follow(operator, &mut residuals)?;
+        self.diverges = !self.become_light(operator, &mut residuals, tolerance, observe)?;
         self.probe = residuals.split_off(SCRAMBLES);
         self.base = residuals;
         Ok(())

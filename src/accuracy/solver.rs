@@ -176,8 +176,6 @@ fn on_mesh(
     let mut count = pilot_rays(options.tolerance);
     let mut pilot = Pilot::new(scene, &transport, options, count, stages, progress)?;
     let mut before = stages.clone();
-    // Without a field the pilot's system has hardly any solution, and neither has the scene.
-    let has_solution = pilot.field.is_some() || pilot.operator.is_none();
     let has_rays = pilot.operator.is_some() || !ground.lamps.glow.is_empty();
 
     let goal = (SHARE * options.tolerance).powi(2);
@@ -199,7 +197,10 @@ fn on_mesh(
             if let Some(field) = field {
                 stages.time("probe", || transport.probe(&mut probe, field, residuals, |_| sizes[2], progress))?;
                 let mut observe = |_: &Step, _: &[f64], _: &[f64]| progress.advance(0);
-                stages.time("bounces", || measure.follow(&pilot, &probe, options.tolerance, &mut observe))?;
+                stages.time("bounces", || {
+                    measure.follow_by_halves(&pilot, options.tolerance, &mut observe)?;
+                    measure.follow(&pilot, &probe, options.tolerance, &mut observe)
+                })?;
                 measure.balance(&base, &transport.direct);
             }
         }
@@ -221,6 +222,8 @@ fn on_mesh(
             2.0 * probe.total() as f64 + SEGMENT_COST * probe.segments as f64,
         ];
         let plan = cheapest(&errors, &costs, goal, options.refine);
+        // Without a field the pilot's system has hardly any solution, and neither has the scene.
+        let has_solution = pilot.field.is_some() || pilot.operator.is_none();
         let is_finite = has_solution && measure.is_finite();
         if plan.is_none() && may_cut && is_finite {
             break;
