@@ -24,6 +24,7 @@
 //! - [`direct`]: light straight from the emitters
 //! - [`assembly`]: F of a scene as an operator
 //! - [`solve`]: matrix inversion, Jacobi, Gauss-Seidel, Southwell, GMRES
+//! - [`hierarchy`]: F as links between elements of all sizes
 //! - [`accuracy`]: a scene solved to a tolerance of the true error
 //! - [`render`]: pictures of a solution
 //!
@@ -38,6 +39,7 @@ pub mod direct;
 pub mod error;
 pub mod form_factor;
 pub mod geometry;
+pub mod hierarchy;
 pub mod progress;
 pub mod render;
 pub mod scene;

@@ -8,14 +8,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 
 use super::FormFactors;
-use super::hidden::{Blockers, Candidate, plan, row_errors, sample};
+use super::hidden::{Blockers, Candidate, MOST_ROUNDS, plan, row_errors, sample};
 use super::matrix::add_scaled;
 use crate::error::{Error, Result};
 use crate::form_factor::{Accuracy, Batch, Patch};
 use crate::geometry::sampling::hash;
 use crate::progress::Progress;
 use crate::scene::Scene;
-use crate::visibility::Bvh;
 use crate::visibility::bodies::Bodies;
 use crate::visibility::shaft::Shaft;
 
@@ -53,8 +52,6 @@ pub struct Dense {
 /// Share of the row tolerance that goes to the unoccluded kernels: a small one, because they are cheap and their error,
 /// unlike that of sampling, may have the same sign everywhere.
 const KERNEL_SHARE: f64 = 0.02;
-/// Rounds after the pilot. Each plans from what the last one measured; two nearly always suffice.
-const ROUNDS: usize = 4;
 /// Fixed number of partial sums in a product, whatever the number of threads: the same bits every time.
 const PARTS: usize = 32;
 
@@ -106,7 +103,7 @@ impl Dense {
             })
         };
         fits(Dense::forecast(n))?;
-        let blockers = Blockers { bodies: Bodies::of_scene(scene), tree: Bvh::of_blockers(scene) };
+        let blockers = Blockers::of_scene(scene);
         let mut exchange = vec![0.0; row_start(n)];
         // How many pairs need their visibility sampled is known only as they are found.
         let room = Room { limit: options.memory - Dense::forecast(n), used: AtomicU64::new(0) };
@@ -116,11 +113,11 @@ impl Dense {
         let budget = (options.tolerance - accuracy.tolerance()).max(0.5 * options.tolerance);
         let mut segments = 0;
         let mut visibility_error = 0.0;
-        for round in 0..=ROUNDS {
+        for round in 0..=MOST_ROUNDS {
             segments += sample(&patches, &blockers, &mut candidates, options.seed, progress)?;
             let errors = row_errors(scene.areas(), &candidates);
             visibility_error = errors.iter().copied().fold(0.0, f64::max);
-            if round == ROUNDS || !plan(&mut candidates, scene.areas(), budget) {
+            if round == MOST_ROUNDS || !plan(&mut candidates, scene.areas(), budget) {
                 break;
             }
         }
@@ -313,16 +310,7 @@ fn unoccluded(
                     let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
                     let (i, j) = (i as u32, j as u32);
                     if bodies.may_meet(&shaft, [i, j]) {
-                        candidates.push(Candidate {
-                            i,
-                            j,
-                            exchange,
-                            visible: 1.0,
-                            error: 1.0,
-                            wanted: f64::INFINITY,
-                            segments: 0,
-                            spent: false,
-                        });
+                        candidates.push(Candidate::new(i, j, exchange));
                     }
                 }
             }

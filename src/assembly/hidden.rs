@@ -13,6 +13,7 @@ use crate::form_factor::Patch;
 use crate::form_factor::occluded::{End, VisibleFraction, visible_fraction};
 use crate::form_factor::shadow::{Shadows, Visible};
 use crate::progress::Progress;
+use crate::scene::Scene;
 use crate::visibility::Bvh;
 use crate::visibility::bodies::Bodies;
 use crate::visibility::shaft::Shaft;
@@ -23,19 +24,21 @@ const PILOT: u32 = 16;
 const RATE: f64 = 0.6;
 /// A pair gets no more segments than this: beyond, a finer mesh is the better answer.
 const MOST_SEGMENTS: u32 = 1 << 16;
+/// Rounds after the pilot. Each plans from what the last one measured; two nearly always suffice.
+pub(crate) const MOST_ROUNDS: usize = 4;
 /// With more bodies in a shaft, rays are cheaper than shadows.
 const MOST_BODIES: usize = 8;
 
 /// A pair between whose patches something may stand.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Candidate {
-    pub(super) i: u32,
-    pub(super) j: u32,
+pub(crate) struct Candidate {
+    pub(crate) i: u32,
+    pub(crate) j: u32,
     /// The exchange if nothing stood between, m^2.
-    pub(super) exchange: f64,
+    pub(crate) exchange: f64,
     /// Visible fraction, and its error: an estimate, or the expectation that segments leave which all agree.
-    pub(super) visible: f64,
-    pub(super) error: f64,
+    pub(crate) visible: f64,
+    pub(crate) error: f64,
     /// The error to be reached in the next round; infinite at first, when any will do, and 0 when there is nothing to do.
     pub(super) wanted: f64,
     /// Segments that have been cast; 0 when the estimate comes from shadows.
@@ -44,14 +47,30 @@ pub(super) struct Candidate {
     pub(super) spent: bool,
 }
 
+impl Candidate {
+    /// Of which nothing is known yet.
+    pub(crate) fn new(i: u32, j: u32, exchange: f64) -> Candidate {
+        Candidate { i, j, exchange, visible: 1.0, error: 1.0, wanted: f64::INFINITY, segments: 0, spent: false }
+    }
+}
+
 /// What blocks: as bodies, for shadows, and as patches, for segments.
-pub(super) struct Blockers {
-    pub(super) bodies: Bodies,
-    pub(super) tree: Bvh,
+pub struct Blockers {
+    /// Convex bodies.
+    pub bodies: Bodies,
+    /// Patches.
+    pub tree: Bvh,
+}
+
+impl Blockers {
+    /// What blocks in a scene.
+    pub fn of_scene(scene: &Scene) -> Blockers {
+        Blockers { bodies: Bodies::of_scene(scene), tree: Bvh::of_blockers(scene) }
+    }
 }
 
 /// Brings the error of every candidate to what is wanted, as far as that can be; returns how many segments were cast.
-pub(super) fn sample(
+pub(crate) fn sample(
     patches: &[Patch],
     blockers: &Blockers,
     candidates: &mut [Candidate],
@@ -125,7 +144,7 @@ fn visible_by_shadows(
 }
 
 /// For every row the sum over its candidates of the error of F_ij.
-pub(super) fn row_errors(areas: &[f64], candidates: &[Candidate]) -> Vec<f64> {
+pub(crate) fn row_errors(areas: &[f64], candidates: &[Candidate]) -> Vec<f64> {
     let mut errors = vec![0.0; areas.len()];
     for c in candidates {
         let (i, j) = (c.i as usize, c.j as usize);
@@ -140,7 +159,7 @@ pub(super) fn row_errors(areas: &[f64], candidates: &[Candidate]) -> Vec<f64> {
 ///
 /// The work of a pair grows when its error falls, whatever its size: the cheapest way to bring a row inside its budget is
 /// one limit for all errors in it, so high that the errors under it and the limit for all others add up to the budget.
-pub(super) fn plan(candidates: &mut [Candidate], areas: &[f64], budget: f64) -> bool {
+pub(crate) fn plan(candidates: &mut [Candidate], areas: &[f64], budget: f64) -> bool {
     // A little less than allowed: one more round would cost as much again.
     const MARGIN: f64 = 0.85;
     /// Each pass raises the limits towards the fixed point.

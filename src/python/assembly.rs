@@ -12,6 +12,7 @@ use super::run::{in_pool, run};
 use super::scene::Scene;
 use crate::assembly::matrix::{DenseMatrix, SparseMatrix};
 use crate::assembly::{Dense, DenseOptions, Estimator, FormFactors as Operator, Sampled, SampledOptions, balance};
+use crate::hierarchy::{self, HierarchicalOptions, Reached};
 use crate::progress::Progress;
 
 #[pyclass(frozen, module = "radiosity._core")]
@@ -81,6 +82,28 @@ impl FormFactors {
         let sampled = run(py, threads, progress.as_ref(), work)?;
         let (error_estimate, segments) = (sampled.error_estimate(), sampled.rays());
         Ok(FormFactors { operator: Arc::new(sampled), dense: None, error_estimate, segments })
+    }
+
+    /// The operator of a scene as links between elements of all sizes; with how many pairs were looked at, and whether memory ended
+    /// the refinement.
+    #[staticmethod]
+    #[pyo3(signature = (scene, tolerance, seed, memory, threads, progress))]
+    fn hierarchical(
+        py: Python<'_>,
+        scene: &Scene,
+        tolerance: f64,
+        seed: u64,
+        memory: u64,
+        threads: Option<usize>,
+        progress: Option<Bound<'_, PyAny>>,
+    ) -> PyResult<(FormFactors, u64, bool)> {
+        let scene = Arc::clone(&scene.scene);
+        let options = HierarchicalOptions { tolerance, seed, memory };
+        let work = move |progress: &Progress| hierarchy::form_factors(&scene, &options, progress);
+        let (links, reached) = run(py, threads, progress.as_ref(), work)?;
+        let Reached { error_estimate, segments, pairs, out_of_memory } = reached;
+        let factors = FormFactors { operator: Arc::new(links), dense: None, error_estimate, segments };
+        Ok((factors, pairs, out_of_memory))
     }
 
     /// The same with row sums of 1, and the largest change of a row.

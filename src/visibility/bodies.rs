@@ -80,7 +80,7 @@ impl Bodies {
     /// Whether a body may reach into the shaft between two patches, by quick tests.
     pub fn may_meet(&self, shaft: &Shaft, patches: [u32; 2]) -> bool {
         let mut found = false;
-        self.near(shaft, patches, |k| {
+        self.near(shaft, patches.map(|i| self.body_of(i)), |k| {
             found = found || shaft.may_hold(&self.bodies[k as usize]);
             !found
         });
@@ -90,7 +90,7 @@ impl Bodies {
     /// The bodies that reach into the shaft between two patches, or may, in their order, up to `most`; `None` when there are more.
     pub fn in_shaft(&self, shaft: &Shaft, patches: [u32; 2], most: usize) -> Option<Vec<&Body>> {
         let mut found: Vec<u32> = Vec::new();
-        self.near(shaft, patches, |k| {
+        self.near(shaft, patches.map(|i| self.body_of(i)), |k| {
             if shaft.holds(&self.bodies[k as usize]) {
                 found.push(k);
             }
@@ -100,9 +100,23 @@ impl Bodies {
         (found.len() <= most).then(|| found.into_iter().map(|k| &self.bodies[k as usize]).collect())
     }
 
-    /// Visits the bodies whose boxes a shaft may meet, but for those that the patches are part of, until `visit` returns false.
-    fn near(&self, shaft: &Shaft, patches: [u32; 2], mut visit: impl FnMut(u32) -> bool) {
-        let own = patches.map(|i| self.body_of[i as usize]);
+    /// Whether no body is known to reach into a shaft but for those that all of an end lies on, `own`.
+    pub fn is_clear(&self, shaft: &Shaft, own: [u32; 2]) -> bool {
+        let mut clear = true;
+        self.near(shaft, own, |k| {
+            clear = !shaft.holds(&self.bodies[k as usize]);
+            clear
+        });
+        clear
+    }
+
+    /// The body that has a patch on its border; a number that no body has where there is none.
+    pub fn body_of(&self, patch: u32) -> u32 {
+        self.body_of[patch as usize]
+    }
+
+    /// Visits the bodies whose boxes a shaft may meet, but for `own`, until `visit` returns false.
+    fn near(&self, shaft: &Shaft, own: [u32; 2], mut visit: impl FnMut(u32) -> bool) {
         let mut goes_on = true;
         self.tree.walk(|node| {
             let opens = goes_on && shaft.may_meet_box(node.low, node.high);

@@ -14,12 +14,17 @@ use crate::geometry::{Triangle, Vec3};
 /// Steps towards a plane between hull and body: most that are apart are known to be after a few.
 const STEPS: usize = 6;
 
-/// A bounding volume of everything between two patches.
+/// Corners that the two ends may have together: two boxes.
+const MOST_CORNERS: usize = 16;
+
+/// A bounding volume of everything between two patches, or two sets of patches.
 pub struct Shaft {
-    corners: [Vec3; 6],
+    corners: [Vec3; MOST_CORNERS],
+    count: usize,
     low: Vec3,
     high: Vec3,
-    planes: [Plane; 2],
+    /// Of those ends that are flat.
+    planes: [Option<Plane>; 2],
     start: Vec3,
     axis: Vec3,
     axis_squared: f64,
@@ -31,24 +36,37 @@ pub struct Shaft {
 impl Shaft {
     /// Between two triangles.
     pub fn new(a: &Triangle, b: &Triangle) -> Shaft {
-        let corners = [a[0], a[1], a[2], b[0], b[1], b[2]];
+        let plane = |t: &Triangle| Some(Plane { normal: area_vector(t).normalize_or_zero(), point: t[0] });
+        Shaft::between(a, b, [plane(a), plane(b)])
+    }
+
+    /// Between all that lies in the convex hulls of some points, 8 at most each; with the planes of what is flat.
+    pub fn between(a: &[Vec3], b: &[Vec3], planes: [Option<Plane>; 2]) -> Shaft {
+        let (mut corners, count) = ([Vec3::ZERO; MOST_CORNERS], a.len() + b.len());
+        corners[..a.len()].copy_from_slice(a);
+        corners[a.len()..count].copy_from_slice(b);
         let (start, end) = (centre(a), centre(b));
-        let low = corners.iter().fold(Vec3::INFINITY, |m, v| m.min(*v));
-        let high = corners.iter().fold(Vec3::NEG_INFINITY, |m, v| m.max(*v));
+        let low = corners[..count].iter().fold(Vec3::INFINITY, |m, v| m.min(*v));
+        let high = corners[..count].iter().fold(Vec3::NEG_INFINITY, |m, v| m.max(*v));
         // Distances inside the shaft carry a few ulp of its size and of the coordinates.
         let slack = 1e-12 * (high - low).max_element() + 16.0 * f64::EPSILON * low.abs().max(high.abs()).max_element();
-        let radius_of = |t: &Triangle, c: Vec3| t.iter().map(|v| v.distance(c)).fold(0.0, f64::max);
+        let radius_of = |t: &[Vec3], c: Vec3| t.iter().map(|v| v.distance(c)).fold(0.0, f64::max);
         Shaft {
             corners,
+            count,
             low: low - slack,
             high: high + slack,
-            planes: [a, b].map(|t| Plane { normal: area_vector(t).normalize_or_zero(), point: t[0] }),
+            planes,
             start,
             axis: end - start,
             axis_squared: (end - start).length_squared(),
             radius: radius_of(a, start).max(radius_of(b, end)) + slack,
             slack,
         }
+    }
+
+    fn corners(&self) -> &[Vec3] {
+        &self.corners[..self.count]
     }
 
     /// Whether something in a box may reach into the shaft.
@@ -59,7 +77,7 @@ impl Shaft {
         }
         let half = 0.5 * (high - low);
         let centre = low + half;
-        if self.planes.iter().any(|p| p.distance(centre) + half.dot(p.normal.abs()) <= self.slack) {
+        if self.planes.iter().flatten().any(|p| p.distance(centre) + half.dot(p.normal.abs()) <= self.slack) {
             return false;
         }
         let to = centre - self.start;
@@ -73,10 +91,10 @@ impl Shaft {
         if !self.may_meet_box(body.low, body.high) {
             return false;
         }
-        if self.planes.iter().any(|plane| body.corners.iter().all(|x| plane.distance(*x) <= self.slack)) {
+        if self.planes.iter().flatten().any(|plane| body.corners.iter().all(|x| plane.distance(*x) <= self.slack)) {
             return false;
         }
-        if body.faces.iter().any(|face| self.corners.iter().all(|x| face.distance(*x) >= -self.slack)) {
+        if body.faces.iter().any(|face| self.corners().iter().all(|x| face.distance(*x) >= -self.slack)) {
             return false;
         }
         true
@@ -84,7 +102,7 @@ impl Shaft {
 
     /// The same, by looking for a plane between the two.
     pub fn holds(&self, body: &Body) -> bool {
-        self.may_hold(body) && !are_apart(&self.corners, &body.corners, self.slack, STEPS)
+        self.may_hold(body) && !are_apart(self.corners(), &body.corners, self.slack, STEPS)
     }
 }
 

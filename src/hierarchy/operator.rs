@@ -1,0 +1,166 @@
+//! The form factors of a scene as links, to a row tolerance.
+//!
+//! Links are refined where the rows that they belong to are still too far off, from their largest errors down, until every row
+//! is within the tolerance: sum over j of |dF_ij|. Pairs of patches between which something may stand are
+//! settled by [`crate::assembly`]'s shadows and segments, like those of the dense operator.
+
+use super::links::Links;
+use super::oracle::Visibility;
+use super::refine::{Done, Found, Goal, Refinement};
+use super::tree::Tree;
+use crate::assembly::{Blockers, Candidate, MOST_ROUNDS, Order, plan, sample};
+use crate::error::Result;
+use crate::form_factor::{Accuracy, Patch};
+use crate::progress::Progress;
+use crate::scene::Scene;
+
+/// What to compute, and within what.
+#[derive(Debug, Clone, Copy)]
+pub struct HierarchicalOptions {
+    /// Bound on sum over j of |dF_ij|, for every row i; in [1e-10, 1).
+    pub tolerance: f64,
+    /// Seed of the quasi-random segments.
+    pub seed: u64,
+    /// Bytes that may be used.
+    pub memory: u64,
+}
+
+/// What was reached.
+#[derive(Debug, Clone, Copy)]
+pub struct Reached {
+    /// Estimate of the largest row error.
+    pub error_estimate: f64,
+    /// Segments cast.
+    pub segments: u64,
+    /// Pairs of nodes looked at.
+    pub pairs: u64,
+    /// Whether refinement ended because memory did.
+    pub out_of_memory: bool,
+}
+
+/// Share of the tolerance for kernels of single pairs of patches.
+const KERNEL_SHARE: f64 = 0.02;
+/// Share of it for links above patches; the rest is for the visibility of pairs of patches.
+const LINK_SHARE: f64 = 0.6;
+/// A link may be wrong by this share of what its row may, at first; each round by half of that.
+const FIRST: f64 = 0.05;
+/// Rounds.
+const ROUNDS: usize = 24;
+
+/// A limit on what a link may be wrong by, for every node.
+struct Rows<'a> {
+    tree_areas: &'a [f64],
+    limits: &'a [f64],
+}
+
+impl Goal for Rows<'_> {
+    fn allows(&self, p: usize, q: usize, error: f64) -> bool {
+        [p, q].iter().all(|&k| error <= self.limits[k] * self.tree_areas[k])
+    }
+
+    fn may_divide(&self, _: &Tree, _: usize) -> bool {
+        false
+    }
+
+    fn most_segments(&self) -> u32 {
+        0
+    }
+
+    fn divided(&mut self, _: &Tree, _: usize) {}
+}
+
+/// Computes the links of a scene.
+///
+/// # Errors
+/// [`crate::Error::Invalid`] for a tolerance out of range, [`crate::Error::Interrupted`].
+pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Progress) -> Result<(Links, Reached)> {
+    Accuracy::new(options.tolerance)?;
+    let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
+    let blockers = Blockers::of_scene(scene);
+    let mut tree = Tree::new(scene, &blockers.bodies, Order::Constant);
+    let areas: Vec<f64> = tree.nodes.iter().map(|node| node.area).collect();
+    let refinement = Refinement { scene, blockers: &blockers, accuracy, seed: options.seed, memory: options.memory };
+    let mut limits = vec![FIRST * options.tolerance; areas.len()];
+    let (mut found, mut done): (Option<Found>, Done) = (None, Done::default());
+    let budget = LINK_SHARE * options.tolerance;
+    let mut round = 0;
+    let (mut links, errors) = loop {
+        let mut goal = Rows { tree_areas: &areas, limits: &limits };
+        let refined = refinement.refine(&mut tree, found.take(), &mut goal, &mut done, progress)?;
+        let links = Links::new(tree, refined);
+        let errors = links.row_errors();
+        round += 1;
+        // Nodes that have a row under them which is too far off.
+        let mut too_far: Vec<bool> = links.tree.nodes.iter().enumerate().map(|(k, node)| node.is_leaf() && errors[k] > budget).collect();
+        for k in (1..too_far.len()).rev() {
+            let parent = links.tree.nodes[k].parent as usize;
+            too_far[parent] |= too_far[k];
+        }
+        if round == ROUNDS || done.out_of_memory || !too_far[0] {
+            break (links, errors);
+        }
+        for (limit, too_far) in limits.iter_mut().zip(too_far) {
+            *limit *= if too_far { 0.5 } else { 1.0 };
+        }
+        let refined;
+        (tree, refined) = links.into_parts();
+        found = Some(refined);
+    };
+    let above = worst_leaf(&links, &errors);
+    let (segments, hidden) = settle(scene, &blockers, &mut links, options, options.tolerance - above - accuracy.tolerance(), progress)?;
+    let reached = Reached {
+        error_estimate: accuracy.tolerance() + above + hidden,
+        segments: done.segments + segments,
+        pairs: done.pairs,
+        out_of_memory: done.out_of_memory,
+    };
+    Ok((links, reached))
+}
+
+fn worst_leaf(links: &Links, errors: &[f64]) -> f64 {
+    let leaves = links.tree.nodes.iter().zip(errors).filter(|(node, _)| node.is_leaf());
+    leaves.map(|(_, error)| *error).fold(0.0, f64::max)
+}
+
+/// Finds how much is visible of the pairs of patches between which something may stand; returns segments, and the largest row
+/// error that is left of it.
+fn settle(
+    scene: &Scene,
+    blockers: &Blockers,
+    links: &mut Links,
+    options: &HierarchicalOptions,
+    budget: f64,
+    progress: &Progress,
+) -> Result<(u64, f64)> {
+    let is_open = |links: &Links, k: usize| {
+        let link = &links.found.links[k];
+        let [p, q] = [link.p, link.q].map(|k| &links.tree.nodes[k as usize]);
+        link.exchange.visibility == Visibility::Partial && p.is_leaf() && q.is_leaf()
+    };
+    let open: Vec<usize> = (0..links.found.links.len()).filter(|&k| is_open(links, k)).collect();
+    if open.is_empty() {
+        return Ok((0, 0.0));
+    }
+    let patches: Vec<Patch> = (0..scene.len()).map(|i| Patch::new(scene.triangle(i))).collect();
+    let candidate = |&k: &usize| {
+        let link = &links.found.links[k];
+        let [i, j] = [link.p, link.q].map(|k| links.tree.nodes[k as usize].patch);
+        Candidate::new(i, j, link.exchange.unoccluded)
+    };
+    let mut candidates: Vec<Candidate> = open.iter().map(candidate).collect();
+    let (mut segments, mut worst) = (0, 0.0);
+    for round in 0..=MOST_ROUNDS {
+        segments += sample(&patches, blockers, &mut candidates, options.seed, progress)?;
+        worst = crate::assembly::row_errors(scene.areas(), &candidates).into_iter().fold(0.0, f64::max);
+        if round == MOST_ROUNDS || !plan(&mut candidates, scene.areas(), budget) {
+            break;
+        }
+    }
+    for (&k, candidate) in open.iter().zip(&candidates) {
+        let link = &mut links.found.links[k];
+        link.exchange.fraction = candidate.visible;
+        link.exchange.fraction_error = candidate.error;
+        links.found.matrices[link.at] *= candidate.visible;
+    }
+    Ok((segments, worst))
+}

@@ -1,0 +1,224 @@
+//! What two nodes of the tree exchange, how much of it is hidden, and how far a link between them would be wrong.
+//!
+//! The kernel K(y, z), sampled between places of the two, is fitted by what is linear on either:
+//!
+//!   K(y, z) ~ v  sum over k, l of  S_kl psi_k(y) psi_l(z),      H(y) = sum over k, l of S_kl psi_k(y)  integral of B psi_l
+//!
+//! S_00 is the mean of K. Where both are triangles it comes from the exact exchange, G / (A_p A_q). What the fit leaves at the
+//! samples is the error of the kernel; that of visibility, where v is neither 0 nor 1, is how far V differs from its mean.
+//! A shaft that no convex body reaches into proves v = 1; else segments are cast.
+
+use super::functions::MOST;
+use super::tree::{Node, SAMPLES, Tree};
+use crate::assembly::Blockers;
+use crate::form_factor::area_quadrature::kernel;
+use crate::form_factor::{Accuracy, Batch, Shape};
+use crate::geometry::Vec3;
+use crate::geometry::sampling::{Sobol, hash};
+use crate::scene::Scene;
+use crate::visibility::Segment;
+use crate::visibility::shaft::Shaft;
+
+/// Segments that tell at first how much is visible, and at most.
+pub const FIRST_SEGMENTS: u32 = 16;
+/// Nodes nearer to each other than this, radii over distance, are looked at twice: their exchange is taken exactly where it can.
+const NEAR: f64 = 0.25;
+/// Of the second order terms that samples may not show, relative to (radius / distance)^2.
+const UNSHOWN: f64 = 0.1;
+
+/// How much of what two nodes exchange passes between them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Visibility {
+    /// All, which is proven.
+    Full,
+    /// None of the segments has passed.
+    None,
+    /// Some, or all of the segments without a proof.
+    Partial,
+}
+
+/// What two nodes exchange.
+#[derive(Debug, Clone, Copy)]
+pub struct Exchange {
+    /// G, m^2, as if nothing stood between.
+    pub unoccluded: f64,
+    /// Error of the kernel, the integral of |dK|, m^2.
+    pub kernel_error: f64,
+    /// Whether light passes.
+    pub visibility: Visibility,
+    /// v.
+    pub fraction: f64,
+    /// The mean of |V - v|, and the standard error of v.
+    pub unevenness: f64,
+    /// See above.
+    pub fraction_error: f64,
+}
+
+impl Exchange {
+    /// How far the link is wrong: the integral of |d(K V)|, m^2.
+    pub fn error(&self) -> f64 {
+        self.kernel_error * self.fraction + self.unoccluded * (self.unevenness + self.fraction_error)
+    }
+
+    /// G, m^2.
+    pub fn occluded(&self) -> f64 {
+        self.unoccluded * self.fraction
+    }
+}
+
+/// Looks at pairs of nodes; memory that is used again.
+pub struct Oracle<'a> {
+    scene: &'a Scene,
+    blockers: &'a Blockers,
+    accuracy: Accuracy,
+    seed: u64,
+    batch: Batch,
+    values: Vec<f64>,
+    half: Vec<f64>,
+}
+
+impl<'a> Oracle<'a> {
+    /// For a scene with its blockers; the exact exchange is taken to `accuracy`.
+    pub fn new(scene: &'a Scene, blockers: &'a Blockers, accuracy: Accuracy, seed: u64) -> Oracle<'a> {
+        Oracle { scene, blockers, accuracy, seed, batch: Batch::new(), values: Vec::new(), half: Vec::new() }
+    }
+
+    /// The exchange without what stands between, and S of it, appended to `matrix`: K_p rows of K_q numbers. `None` where there is
+    /// certainly none.
+    pub fn unoccluded(&mut self, tree: &Tree, p: usize, q: usize, matrix: &mut Vec<f64>) -> Option<Exchange> {
+        let (a, b) = (&tree.nodes[p], &tree.nodes[q]);
+        let (rows, columns) = (a.functions.len(), b.functions.len());
+        let first = matrix.len();
+        self.fit(a, b, matrix);
+        let distance = a.centre.distance(b.centre);
+        let reach = (a.radius + b.radius) / distance;
+        let whole = a.area * b.area;
+        let mut mean = matrix[first];
+        if a.is_element() && b.is_element() && (reach > NEAR || !(mean > 0.0)) {
+            let corners = [tree.triangle(p), tree.triangle(q)];
+            let exact = self.batch.exchange(&Shape::new(&corners[0]), &Shape::new(&corners[1]), &self.accuracy) / whole;
+            if !(exact > 0.0) {
+                matrix.truncate(first);
+                return None;
+            }
+            if mean > 0.0 {
+                let scale = exact / mean;
+                matrix[first..].iter_mut().for_each(|s| *s *= scale);
+                self.values.iter_mut().for_each(|value| *value *= scale);
+            }
+            matrix[first] = exact;
+            mean = exact;
+        }
+        let left = self.left(a, b, &matrix[first..]);
+        let unshown = UNSHOWN * (a.radius.powi(2) + b.radius.powi(2)) / (distance * distance);
+        // What samples may have missed: where all else is known, nothing; next to each other, or across the other's horizon, anything.
+        let is_known = rows == 1 && columns == 1 && a.is_leaf() && b.is_leaf();
+        let is_plain = reach < 1.0 && a.faces(b) && b.faces(a);
+        let missed = if is_plain { 0.0 } else { UNSHOWN / (std::f64::consts::PI * distance.max(a.radius + b.radius).powi(2)) };
+        let error = if is_known { 0.0 } else { left.max(unshown * mean).min(mean).max(missed) };
+        Some(Exchange {
+            unoccluded: mean * whole,
+            kernel_error: error * whole,
+            visibility: Visibility::Full,
+            fraction: 1.0,
+            unevenness: 0.0,
+            fraction_error: 0.0,
+        })
+    }
+
+    /// Appends S = D_p K D_q^T to `matrix`; K at the samples stays in `values`.
+    fn fit(&mut self, a: &Node, b: &Node, matrix: &mut Vec<f64>) {
+        let (m, n) = (a.samples.len(), b.samples.len());
+        let at = |z: &[f64; 6]| (Vec3::new(z[0], z[1], z[2]), Vec3::new(z[3], z[4], z[5]));
+        self.values.clear();
+        for y in &a.samples {
+            let (x, normal) = at(y);
+            self.values.extend(b.samples.iter().map(|z| {
+                let (other, other_normal) = at(z);
+                let k = kernel(x, normal, other, other_normal);
+                if k.is_finite() { k } else { 0.0 }
+            }));
+        }
+        // D_p K, a row for each function of p.
+        let rows = a.functions.len();
+        self.half.clear();
+        self.half.resize(rows * n, 0.0);
+        for k in 0..rows {
+            for s in 0..m {
+                let d = a.fit[k * m + s];
+                for (sum, value) in self.half[k * n..][..n].iter_mut().zip(&self.values[s * n..][..n]) {
+                    *sum += d * value;
+                }
+            }
+        }
+        for half in self.half.chunks_exact(n) {
+            matrix.extend(b.fit.chunks_exact(n).map(|d| d.iter().zip(half).map(|(d, half)| d * half).sum::<f64>()));
+        }
+    }
+
+    /// The mean over all pairs of samples of |K - fit|.
+    fn left(&mut self, a: &Node, b: &Node, matrix: &[f64]) -> f64 {
+        let (m, n, columns) = (a.samples.len(), b.samples.len(), b.functions.len());
+        let mut on_b = [[0.0; MOST]; SAMPLES];
+        b.samples.iter().zip(&mut on_b).for_each(|(z, values)| *values = b.functions.at(z));
+        let mut left = 0.0;
+        for s in 0..m {
+            let on_a = a.functions.at(&a.samples[s]);
+            let mut row = [0.0; MOST];
+            for (k, numbers) in matrix.chunks_exact(columns).enumerate() {
+                (0..columns).for_each(|l| row[l] += on_a[k] * numbers[l]);
+            }
+            for t in 0..n {
+                let fitted: f64 = (0..columns).map(|l| row[l] * on_b[t][l]).sum();
+                // The first row of the fit holds the weights.
+                left += a.fit[s] * b.fit[t] * (self.values[s * n + t] - fitted).abs();
+            }
+        }
+        left
+    }
+
+    /// Whether nothing is known to stand between two nodes.
+    pub fn is_clear(&self, tree: &Tree, p: usize, q: usize) -> bool {
+        let (a, b) = (&tree.nodes[p], &tree.nodes[q]);
+        self.blockers.bodies.is_empty()
+            || self.blockers.bodies.is_clear(&Shaft::between(&a.hull, &b.hull, [a.plane, b.plane]), [a.body, b.body])
+    }
+
+    /// Looks what stands between, by so many segments.
+    pub fn look_between(&self, tree: &Tree, p: usize, q: usize, segments: u32, exchange: &mut Exchange) {
+        let sobol: Sobol<4> = Sobol::new(hash(self.seed ^ hash((p as u64) << 32 | q as u64)));
+        let (mut weights, mut all) = (Vec::with_capacity(segments as usize), Vec::with_capacity(segments as usize));
+        for k in 0..segments {
+            let [u, v, s, t] = sobol.point(k);
+            let (start, normal, i) = tree.point(self.scene, p, u, v);
+            let (end, other, j) = tree.point(self.scene, q, s, t);
+            let weight = kernel(start, normal, end, other);
+            if weight > 0.0 && weight.is_finite() {
+                weights.push(weight);
+                all.push(Segment { start, end, exclude: [i, j] });
+            }
+        }
+        // In units of the largest, squares neither overflow nor vanish.
+        let unit = weights.iter().fold(f64::MIN_POSITIVE, |peak, w| w.max(peak));
+        let (mut visible, mut total, mut squares) = (0.0, 0.0, 0.0);
+        for (weight, blocked) in weights.iter().zip(self.blockers.tree.blocked_between(&all)) {
+            let weight = weight / unit;
+            total += weight;
+            squares += weight * weight;
+            visible += if blocked { 0.0 } else { weight };
+        }
+        if !(total > 0.0) {
+            // No two sampled places face each other: nothing was learnt, and the exchange is next to nothing.
+            (exchange.visibility, exchange.fraction, exchange.fraction_error) = (Visibility::Partial, 0.5, 0.5);
+            return;
+        }
+        let v = (visible / total).clamp(0.0, 1.0);
+        let effective = total * total / squares;
+        exchange.fraction = v;
+        exchange.visibility = if visible > 0.0 { Visibility::Partial } else { Visibility::None };
+        exchange.unevenness = 2.0 * v * (1.0 - v);
+        // Laplace's rule of succession where all agree.
+        exchange.fraction_error =
+            if v > 0.0 && v < 1.0 { (v * (1.0 - v) / effective).sqrt() } else { 1.0 / (effective + 2.0) };
+    }
+}

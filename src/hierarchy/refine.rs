@@ -1,0 +1,264 @@
+//! Refinement: from the pair (root, root) down to links that a goal allows.
+//!
+//! A pair whose link would be wrong by more is parted at the larger of its nodes; a leaf that has to be parted is cut, where it
+//! may be. Links that were allowed stay until the goal is raised (multigridding: a coarse solution tells where to
+//! refine; Hanrahan, Salzman & Aupperle 1991, section 4.3). Level by level, so that any number of threads finds the same.
+
+use rayon::prelude::*;
+
+use super::links::{Link, NO_MATRIX};
+use super::oracle::{FIRST_SEGMENTS, Oracle, Visibility};
+use super::tree::Tree;
+use crate::assembly::Blockers;
+use crate::error::Result;
+use crate::form_factor::Accuracy;
+use crate::progress::Progress;
+use crate::scene::Scene;
+
+/// Which links are good enough.
+pub trait Goal: Sync {
+    /// Whether a link may be wrong by `error`, the integral of |d(K V)|, m^2.
+    fn allows(&self, p: usize, q: usize, error: f64) -> bool;
+
+    /// Whether a leaf may be cut.
+    fn may_divide(&self, tree: &Tree, leaf: usize) -> bool;
+
+    /// Segments that a link between nodes that cannot be parted may take; 0 where its visibility is settled elsewhere.
+    fn most_segments(&self) -> u32;
+
+    /// A node was cut: its parts are as it was.
+    fn divided(&mut self, tree: &Tree, number: usize);
+}
+
+/// Pairs that one task looks at.
+const TOGETHER: usize = 256;
+
+/// Two nodes that may exchange light.
+#[derive(Debug, Clone, Copy)]
+struct Pair {
+    p: u32,
+    q: u32,
+    /// Whether it is known that nothing stands between.
+    clear: bool,
+    /// Whether it has been looked at, and has to be parted.
+    part: bool,
+}
+
+/// What refinement has done.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Done {
+    /// Pairs looked at.
+    pub pairs: u64,
+    /// Segments cast.
+    pub segments: u64,
+    /// Links that the goal does not allow between leaves that may not be cut.
+    pub stopped: u64,
+    /// Whether memory ran out first.
+    pub out_of_memory: bool,
+}
+
+/// Links, and their matrices one after the other.
+#[derive(Debug, Clone, Default)]
+pub struct Found {
+    /// The links.
+    pub links: Vec<Link>,
+    /// Their S, where they have one.
+    pub matrices: Vec<f64>,
+}
+
+impl Found {
+    fn append(&mut self, other: &Found) {
+        let shift = self.matrices.len();
+        self.matrices.extend_from_slice(&other.matrices);
+        let moved = |link: &Link| Link { at: if link.at == NO_MATRIX { NO_MATRIX } else { link.at + shift }, ..*link };
+        self.links.extend(other.links.iter().map(moved));
+    }
+
+    fn nbytes(&self) -> u64 {
+        (size_of_val(self.links.as_slice()) + size_of_val(self.matrices.as_slice())) as u64
+    }
+}
+
+#[derive(Default)]
+struct Part {
+    found: Found,
+    next: Vec<Pair>,
+    waiting: Vec<Pair>,
+    divide: Vec<u32>,
+    done: Done,
+}
+
+/// What is refined, with what it takes.
+pub struct Refinement<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// What may stand between.
+    pub blockers: &'a Blockers,
+    /// Of the exact exchange of two triangles.
+    pub accuracy: Accuracy,
+    /// Of segments.
+    pub seed: u64,
+    /// Bytes that tree and links may take.
+    pub memory: u64,
+}
+
+impl Refinement<'_> {
+    /// Replaces the links that the goal does not allow by finer ones; starts from the root where there are none. What has been done
+    /// is added to `done`.
+    ///
+    /// # Errors
+    /// [`crate::Error::Interrupted`].
+    pub fn refine(
+        &self,
+        tree: &mut Tree,
+        found: Option<Found>,
+        goal: &mut impl Goal,
+        done: &mut Done,
+        progress: &Progress,
+    ) -> Result<Found> {
+        let mut kept = Found::default();
+        let mut frontier = match found {
+            None => vec![Pair { p: 0, q: 0, clear: self.blockers.bodies.is_empty(), part: false }],
+            Some(found) => {
+                let mut frontier = Vec::new();
+                for link in &found.links {
+                    let (p, q) = (link.p as usize, link.q as usize);
+                    let is_final = tree.nodes[p].is_leaf()
+                        && tree.nodes[q].is_leaf()
+                        && !goal.may_divide(tree, p)
+                        && !goal.may_divide(tree, q);
+                    if is_final || goal.allows(p, q, link.exchange.error()) {
+                        kept.keep(&found, link, tree);
+                    } else {
+                        let clear = link.exchange.visibility == Visibility::Full;
+                        frontier.push(Pair { p: link.p, q: link.q, clear, part: true });
+                    }
+                }
+                frontier
+            }
+        };
+        while !frontier.is_empty() {
+            progress.expect(frontier.len() as u64);
+            let used = tree.nbytes() as u64 + kept.nbytes() + size_of_val(frontier.as_slice()) as u64;
+            // The next level may be several times as large as this one.
+            done.out_of_memory |= used + 4 * size_of_val(frontier.as_slice()) as u64 > self.memory;
+            let accept = done.out_of_memory;
+            let parts: Result<Vec<Part>> = frontier
+                .par_chunks(TOGETHER)
+                .map_init(
+                    || Oracle::new(self.scene, self.blockers, self.accuracy, self.seed),
+                    |oracle, pairs| {
+                        progress.advance(pairs.len() as u64)?;
+                        let mut part = Part::default();
+                        pairs.iter().for_each(|pair| look(oracle, tree, goal, *pair, accept, &mut part));
+                        Ok(part)
+                    },
+                )
+                .collect();
+            frontier.clear();
+            let (mut waiting, mut divide) = (Vec::new(), Vec::new());
+            for part in parts? {
+                kept.append(&part.found);
+                frontier.extend(part.next);
+                waiting.extend(part.waiting);
+                divide.extend(part.divide);
+                done.pairs += part.done.pairs;
+                done.segments += part.done.segments;
+                done.stopped += part.done.stopped;
+            }
+            divide.sort_unstable();
+            divide.dedup();
+            for leaf in divide {
+                tree.divide(leaf as usize);
+                goal.divided(tree, leaf as usize);
+            }
+            frontier.extend(waiting);
+        }
+        Ok(kept)
+    }
+}
+
+impl Found {
+    fn keep(&mut self, other: &Found, link: &Link, tree: &Tree) {
+        let at = if link.at == NO_MATRIX { NO_MATRIX } else { self.matrices.len() };
+        if link.at != NO_MATRIX {
+            let size = tree.nodes[link.p as usize].functions.len() * tree.nodes[link.q as usize].functions.len();
+            self.matrices.extend_from_slice(&other.matrices[link.at..][..size]);
+        }
+        self.links.push(Link { at, ..*link });
+    }
+}
+
+/// Makes a link of a pair, or parts it.
+fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: bool, out: &mut Part) {
+    let (p, q) = (pair.p as usize, pair.q as usize);
+    let (a, b) = (&tree.nodes[p], &tree.nodes[q]);
+    out.done.pairs += 1;
+    if p == q {
+        // What is flat does not see itself.
+        if a.plane.is_none() && !a.is_leaf() {
+            for (k, first) in a.children.clone().enumerate() {
+                let others = a.children.clone().skip(k);
+                out.next.extend(others.map(|second| Pair { p: first, q: second, clear: pair.clear, part: false }));
+            }
+        }
+        return;
+    }
+    if a.faces_away(b) || b.faces_away(a) {
+        return;
+    }
+    // The larger is parted; a leaf that may not be cut, never.
+    let can = |number: usize| !tree.nodes[number].is_leaf() || goal.may_divide(tree, number);
+    let larger = if a.radius >= b.radius { [p, q] } else { [q, p] };
+    let to_part = larger.into_iter().find(|&number| can(number)).filter(|_| !accept);
+    let part = |clear: bool, number: usize, out: &mut Part| {
+        let other = if number == p { pair.q } else { pair.p };
+        if tree.nodes[number].is_leaf() {
+            out.divide.push(number as u32);
+            out.waiting.push(Pair { clear, part: true, ..pair });
+        } else {
+            let parts = tree.nodes[number].children.clone();
+            out.next.extend(parts.map(|part| Pair { p: part.min(other), q: part.max(other), clear, part: false }));
+        }
+    };
+    if let Some(number) = to_part.filter(|_| pair.part) {
+        return part(pair.clear, number, out);
+    }
+    let at = out.found.matrices.len();
+    let Some(mut exchange) = oracle.unoccluded(tree, p, q, &mut out.found.matrices) else { return };
+    if let Some(number) = to_part.filter(|_| !goal.allows(p, q, exchange.kernel_error)) {
+        out.found.matrices.truncate(at);
+        return part(pair.clear, number, out);
+    }
+    let clear = pair.clear || oracle.is_clear(tree, p, q);
+    if !clear {
+        let most = if to_part.is_some() { FIRST_SEGMENTS } else { goal.most_segments() };
+        let mut segments = FIRST_SEGMENTS.min(most);
+        while segments > 0 {
+            oracle.look_between(tree, p, q, segments, &mut exchange);
+            out.done.segments += u64::from(segments);
+            let sampled = exchange.unoccluded * exchange.fraction_error;
+            if segments >= most || goal.allows(p, q, sampled) {
+                break;
+            }
+            segments *= 4;
+        }
+        if most == 0 {
+            exchange.visibility = Visibility::Partial;
+        }
+    }
+    if !goal.allows(p, q, exchange.error()) {
+        if let Some(number) = to_part {
+            out.found.matrices.truncate(at);
+            return part(clear, number, out);
+        }
+        out.done.stopped += 1;
+    }
+    let is_hidden = exchange.visibility == Visibility::None;
+    if is_hidden {
+        out.found.matrices.truncate(at);
+    } else {
+        out.found.matrices[at..].iter_mut().for_each(|s| *s *= exchange.fraction);
+    }
+    out.found.links.push(Link { p: pair.p, q: pair.q, at: if is_hidden { NO_MATRIX } else { at }, exchange });
+}

@@ -1,0 +1,558 @@
+//! The tree of elements: clusters of patches, patches, and parts of patches.
+//!
+//! A patch is cut into four elements by halving its edges, each of those into four, and so on, where light asks for it (Hanrahan,
+//! Salzman & Aupperle 1991). Above the patches are clusters (Smits, Arvo & Greenberg 1994), halved from the top: first
+//! what faces different ways is parted, then what lies in different places; what lies in one plane stays together longest,
+//! since it is flat and cannot see itself. Parents have lower numbers than their children.
+
+use std::collections::HashMap;
+use std::ops::Range;
+
+use super::functions::{Functions, MOST, Moments, Place, place};
+use crate::assembly::Order;
+use crate::geometry::polygon::{Plane, area, centre};
+use crate::geometry::sampling::point_in_triangle;
+use crate::geometry::{Triangle, Vec3};
+use crate::scene::Scene;
+use crate::visibility::NO_PATCH;
+use crate::visibility::bodies::Bodies;
+
+/// No node.
+pub const NONE: u32 = u32::MAX;
+
+/// Normals that vary more than this, 1 - |mean|^2, are parted before places are.
+const FACING: f64 = 0.25;
+/// Patches are in one plane when their normals agree to this, and their planes to this part of the scene's size.
+const SAME: f64 = 1e-7;
+/// Places from which a node is looked at, at most.
+pub const SAMPLES: usize = 8;
+
+/// A cluster, a patch, or an element of one.
+#[derive(Debug, Clone)]
+pub struct Node {
+    /// The node that it is a part of; [`NONE`] for the root.
+    pub parent: u32,
+    /// Its parts; none for a leaf.
+    pub children: Range<u32>,
+    /// How many nodes are above it.
+    pub level: u32,
+    /// The patch that it is, or is a part of; [`NO_PATCH`] for a cluster.
+    pub patch: u32,
+    /// Corners of an element.
+    face: [u32; 3],
+    /// Its patches, in the order of the tree.
+    patches: Range<u32>,
+    /// Area, m^2.
+    pub area: f64,
+    /// Mean position.
+    pub centre: Vec3,
+    /// Of a sphere around the centre that holds it.
+    pub radius: f64,
+    /// Its plane, when it is flat.
+    pub plane: Option<Plane>,
+    /// All its normals are within `spread` of this, an angle.
+    axis: Vec3,
+    spread: f64,
+    /// The convex body that all of it lies on, if any.
+    pub body: u32,
+    /// Points whose convex hull holds it.
+    pub hull: Vec<Vec3>,
+    /// What irradiance and radiosity are on it.
+    pub functions: Functions,
+    /// Where the parent's functions on it are kept in the tree's `push`.
+    push: usize,
+    /// Places from which it is looked at, each standing for some of its area.
+    pub samples: Vec<Place>,
+    /// K rows of one number a sample: the linear function that fits values at the samples best.
+    pub fit: Vec<f64>,
+}
+
+impl Node {
+    /// Whether it is part of a patch, or all of it.
+    pub fn is_element(&self) -> bool {
+        self.patch != NO_PATCH
+    }
+
+    /// Whether it has no parts.
+    pub fn is_leaf(&self) -> bool {
+        self.children.is_empty()
+    }
+
+    /// Whether all of `other` is known to lie behind all of this.
+    pub fn faces_away(&self, other: &Node) -> bool {
+        match &self.plane {
+            Some(plane) => other.hull.iter().all(|x| plane.distance(*x) <= self.slack(other)),
+            None => self.angles(other).is_some_and(|[least, _]| least >= std::f64::consts::FRAC_PI_2),
+        }
+    }
+
+    /// Whether all of `other` is known to lie before all of this.
+    pub fn faces(&self, other: &Node) -> bool {
+        match &self.plane {
+            Some(plane) => other.hull.iter().all(|x| plane.distance(*x) >= -self.slack(other)),
+            None => self.angles(other).is_some_and(|[_, most]| most <= std::f64::consts::FRAC_PI_2),
+        }
+    }
+
+    fn slack(&self, other: &Node) -> f64 {
+        1e-12 * (self.radius + other.radius + self.centre.distance(other.centre))
+    }
+
+    /// The least and the largest angle between a normal of this and a direction to `other`; `None` where their spheres meet.
+    fn angles(&self, other: &Node) -> Option<[f64; 2]> {
+        let way = other.centre - self.centre;
+        let (distance, reach) = (way.length(), self.radius + other.radius);
+        if distance <= reach {
+            return None;
+        }
+        let angle = (self.axis.dot(way) / distance).clamp(-1.0, 1.0).acos();
+        let spread = self.spread + (reach / distance).asin();
+        Some([angle - spread, angle + spread])
+    }
+}
+
+/// The tree over a scene.
+#[derive(Debug, Clone)]
+pub struct Tree {
+    /// Parents before children; the root first.
+    pub nodes: Vec<Node>,
+    order: Order,
+    /// The patches so that those of every cluster are together, and the area up to each.
+    sorted: Vec<u32>,
+    areas: Vec<f64>,
+    /// The node of every patch.
+    pub node_of: Vec<u32>,
+    /// Those of the scene, then midpoints of edges.
+    pub vertices: Vec<Vec3>,
+    midpoints: HashMap<[u32; 2], u32>,
+    push: Vec<f64>,
+}
+
+/// A node while the tree is planned.
+struct Draft {
+    parent: u32,
+    level: u32,
+    children: Range<u32>,
+    patches: Range<usize>,
+}
+
+impl Tree {
+    /// The clusters and patches of a scene. Radiosity is constant or linear on its leaves.
+    pub fn new(scene: &Scene, bodies: &Bodies, order: Order) -> Tree {
+        let mut sorted: Vec<u32> = (0..scene.len() as u32).collect();
+        let drafts = drafts(scene, &mut sorted);
+        let mut areas = vec![0.0];
+        areas.extend(sorted.iter().scan(0.0, |sum, &i| {
+            *sum += scene.areas()[i as usize];
+            Some(*sum)
+        }));
+        let mut tree = Tree {
+            nodes: Vec::with_capacity(drafts.len()),
+            order,
+            node_of: vec![NONE; scene.len()],
+            vertices: scene.vertices().to_vec(),
+            midpoints: HashMap::new(),
+            push: Vec::new(),
+            sorted,
+            areas,
+        };
+        // From the leaves up.
+        let mut moments: Vec<Moments> = Vec::with_capacity(drafts.len());
+        for (number, draft) in drafts.iter().enumerate().rev() {
+            let parts = |moments: &[Moments], k: u32| moments[drafts.len() - 1 - k as usize].clone();
+            let (own, node);
+            if draft.children.is_empty() {
+                let patch = tree.sorted[draft.patches.start];
+                tree.node_of[patch as usize] = number as u32;
+                let face = scene.faces()[patch as usize];
+                let normal = scene.normals()[patch as usize];
+                (node, own) = tree.element(face, normal, patch, bodies.body_of(patch));
+            } else {
+                let of_children: Vec<Moments> = draft.children.clone().map(|k| parts(&moments, k)).collect();
+                own = Moments::of_all(of_children.iter());
+                node = tree.cluster(&own, draft, drafts.len(), scene);
+            }
+            let patches = draft.patches.start as u32..draft.patches.end as u32;
+            let Draft { parent, level, children, .. } = draft;
+            let children = children.clone();
+            tree.nodes.push(Node { parent: *parent, level: *level, children, patches, ..node });
+            moments.push(own);
+        }
+        tree.nodes.reverse();
+        for number in 0..tree.nodes.len() {
+            if !tree.nodes[number].is_element() {
+                let (samples, fit) = tree.looked_at(number);
+                (tree.nodes[number].samples, tree.nodes[number].fit) = (samples, fit);
+            }
+            tree.join(number);
+        }
+        tree
+    }
+
+    /// A part of a patch, and its moments.
+    fn element(&self, face: [u32; 3], normal: Vec3, patch: u32, body: u32) -> (Node, Moments) {
+        let corners = face.map(|v| self.vertices[v as usize]);
+        let (size, middle) = (area(&corners), centre(&corners));
+        let moments = match self.order {
+            Order::Constant => Moments::of_patch(size, middle, normal),
+            Order::Linear => Moments::of_triangle(&corners, size, normal),
+        };
+        let radius = corners.iter().map(|x| x.distance(middle)).fold(0.0, f64::max);
+        let functions = Functions::new(&moments, radius);
+        let samples: Vec<Place> = quarters(&corners).map(|x| place(x, normal)).to_vec();
+        let fit = fit(&functions, &samples, &[0.25; 4]);
+        let node = Node {
+            parent: NONE,
+            children: 0..0,
+            level: 0,
+            patch,
+            face,
+            patches: 0..0,
+            area: size,
+            centre: middle,
+            radius,
+            plane: Some(Plane { normal, point: corners[0] }),
+            axis: normal,
+            spread: 0.0,
+            body,
+            hull: corners.to_vec(),
+            functions,
+            push: 0,
+            samples,
+            fit,
+        };
+        (node, moments)
+    }
+
+    /// A node above patches, of `count` nodes of which those after it stand in reverse order.
+    fn cluster(&self, moments: &Moments, draft: &Draft, count: usize, scene: &Scene) -> Node {
+        let children = || draft.children.clone().map(|k| &self.nodes[count - 1 - k as usize]);
+        let [x, y, z, u, v, w] = moments.mean;
+        let (middle, normal) = (Vec3::new(x, y, z), Vec3::new(u, v, w));
+        let axis = normal.normalize_or(Vec3::Z);
+        let spread = children().map(|child| axis.dot(child.axis).clamp(-1.0, 1.0).acos() + child.spread);
+        let spread = spread.fold(0.0, f64::max).min(std::f64::consts::PI);
+        let first = children().next().and_then(|child| child.plane);
+        let size = children().map(|child| child.radius + child.centre.distance(middle)).fold(0.0, f64::max);
+        let is_in = |plane: &Plane, child: &Node| {
+            child.plane.is_some_and(|other| other.normal.distance(plane.normal) <= SAME)
+                && child.hull.iter().all(|x| plane.distance(*x).abs() <= SAME * size)
+        };
+        let plane = first.filter(|plane| children().all(|child| is_in(plane, child)));
+        let corners = || self.sorted[draft.patches.clone()].iter().flat_map(|&i| scene.triangle(i as usize));
+        let hull = match &plane {
+            Some(plane) => rectangle(plane, corners()),
+            None => corners_of_box(corners()),
+        };
+        let radius = hull.iter().map(|x| x.distance(middle)).fold(0.0, f64::max).min(size);
+        let body = children().map(|child| child.body).reduce(|a, b| if a == b { a } else { NONE }).unwrap_or(NONE);
+        Node {
+            parent: NONE,
+            children: 0..0,
+            level: 0,
+            patch: NO_PATCH,
+            face: [0; 3],
+            patches: 0..0,
+            area: moments.area,
+            centre: middle,
+            radius,
+            plane,
+            axis,
+            spread,
+            body,
+            hull,
+            functions: Functions::new(moments, radius),
+            push: 0,
+            samples: Vec::new(),
+            fit: Vec::new(),
+        }
+    }
+
+    /// The places from which a cluster is looked at, and how values there are fitted: the means of its largest parts.
+    fn looked_at(&self, number: usize) -> (Vec<Place>, Vec<f64>) {
+        let mut parts = vec![number];
+        while parts.len() < SAMPLES {
+            let divisible = parts.iter().enumerate().filter(|(_, part)| !self.nodes[**part].is_leaf());
+            let largest = divisible.max_by(|(_, a), (_, b)| self.nodes[**a].area.total_cmp(&self.nodes[**b].area));
+            let Some((at, &part)) = largest else { break };
+            let children = self.nodes[part].children.clone();
+            parts[at] = children.start as usize;
+            parts.extend(children.skip(1).map(|child| child as usize));
+        }
+        // Two triangles alone would not show what is linear on them.
+        let whole = self.nodes[number].area;
+        let (mut samples, mut weights) = (Vec::new(), Vec::new());
+        for &part in &parts {
+            let node = &self.nodes[part];
+            if node.is_leaf() && 4 * parts.len() <= SAMPLES {
+                samples.extend_from_slice(&node.samples);
+                weights.resize(samples.len(), 0.25 * node.area / whole);
+            } else {
+                samples.push(*node.functions.mean());
+                weights.push(node.area / whole);
+            }
+        }
+        let fit = fit(&self.nodes[number].functions, &samples, &weights);
+        (samples, fit)
+    }
+
+    /// Keeps what the functions of a node's parent are on it.
+    fn join(&mut self, number: usize) {
+        self.nodes[number].push = self.push.len();
+        let node = &self.nodes[number];
+        if node.parent != NONE {
+            let matrix = node.functions.of_parent(&self.nodes[node.parent as usize].functions);
+            self.push.extend(matrix);
+        }
+    }
+
+    /// The parent's functions on a node, K rows of as many numbers as the parent has functions.
+    #[inline]
+    pub fn push(&self, number: usize) -> &[f64] {
+        let node = &self.nodes[number];
+        if node.parent == NONE {
+            return &[];
+        }
+        let size = node.functions.len() * self.nodes[node.parent as usize].functions.len();
+        &self.push[node.push..][..size]
+    }
+
+    /// Cuts a leaf into four.
+    pub fn divide(&mut self, number: usize) {
+        let Node { face: [a, b, c], patch, level, patches, body, axis, .. } = self.nodes[number].clone();
+        let [ab, bc, ca] = [[a, b], [b, c], [c, a]].map(|edge| self.midpoint(edge));
+        let first = self.nodes.len() as u32;
+        self.nodes[number].children = first..first + 4;
+        for face in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
+            let (node, _) = self.element(face, axis, patch, body);
+            self.nodes.push(Node { parent: number as u32, level: level + 1, patches: patches.clone(), ..node });
+            self.join(self.nodes.len() - 1);
+        }
+    }
+
+    fn midpoint(&mut self, [a, b]: [u32; 2]) -> u32 {
+        *self.midpoints.entry([a.min(b), a.max(b)]).or_insert_with(|| {
+            self.vertices.push(0.5 * (self.vertices[a as usize] + self.vertices[b as usize]));
+            self.vertices.len() as u32 - 1
+        })
+    }
+
+    /// The middle of an edge, where an element on either side has been cut.
+    pub fn midpoint_of(&self, [a, b]: [u32; 2]) -> Option<u32> {
+        self.midpoints.get(&[a.min(b), a.max(b)]).copied()
+    }
+
+    /// Corner numbers of an element.
+    pub fn face(&self, number: usize) -> [u32; 3] {
+        self.nodes[number].face
+    }
+
+    /// Corners of an element.
+    pub fn triangle(&self, number: usize) -> Triangle {
+        self.nodes[number].face.map(|v| self.vertices[v as usize])
+    }
+
+    /// How radiosity varies on a leaf.
+    pub fn order(&self) -> Order {
+        self.order
+    }
+
+    /// The point of a node, its patch and its normal that belong to two numbers in [0, 1): evenly spread over its area.
+    pub fn point(&self, scene: &Scene, number: usize, u: f64, v: f64) -> (Vec3, Vec3, u32) {
+        let node = &self.nodes[number];
+        if node.is_element() {
+            return (point_in_triangle(&self.triangle(number), u, v), node.axis, node.patch);
+        }
+        let Range { start, end } = node.patches;
+        let bounds = &self.areas[start as usize..=end as usize];
+        let wanted = bounds[0] + u * (bounds[bounds.len() - 1] - bounds[0]);
+        let k = bounds.partition_point(|bound| *bound <= wanted).clamp(1, bounds.len() - 1) - 1;
+        // What is left of the number is as good as a new one.
+        let rest = ((wanted - bounds[k]) / (bounds[k + 1] - bounds[k])).clamp(0.0, 1.0);
+        let patch = self.sorted[start as usize + k];
+        (point_in_triangle(&scene.triangle(patch as usize), rest, v), scene.normals()[patch as usize], patch)
+    }
+
+    /// Bytes held.
+    pub fn nbytes(&self) -> usize {
+        let of_node = |node: &Node| {
+            size_of::<Node>()
+                + size_of_val(node.hull.as_slice())
+                + size_of_val(node.samples.as_slice())
+                + size_of_val(node.fit.as_slice())
+                + node.functions.nbytes()
+        };
+        self.nodes.iter().map(of_node).sum::<usize>() + size_of_val(self.push.as_slice())
+    }
+}
+
+/// Centroids of the four parts of a triangle.
+fn quarters([a, b, c]: &Triangle) -> [Vec3; 4] {
+    let part = |x: Vec3, y: Vec3, z: Vec3| (4.0 * x + y + z) / 6.0;
+    [part(*a, *b, *c), part(*b, *c, *a), part(*c, *a, *b), (*a + *b + *c) / 3.0]
+}
+
+/// K rows of one number a sample: coefficients of the least-squares fit of values at the samples. A function that does not show
+/// at the samples takes no part.
+fn fit(functions: &Functions, samples: &[Place], weights: &[f64]) -> Vec<f64> {
+    /// Of the variance that a function has.
+    const SHOWN: f64 = 0.02;
+    let (count, n) = (functions.len(), samples.len());
+    let values: Vec<[f64; MOST]> = samples.iter().map(|z| functions.at(z)).collect();
+    // Gram-Schmidt: rows q_k orthonormal under the weights, psi_k = sum over l <= k of r_kl q_l.
+    let mut rows: Vec<Option<Vec<f64>>> = Vec::new();
+    let mut triangle = vec![vec![0.0; count]; count];
+    for k in 0..count {
+        let mut row: Vec<f64> = values.iter().map(|value| value[k]).collect();
+        for (l, q) in rows.iter().enumerate() {
+            if let Some(q) = q {
+                let r: f64 = (0..n).map(|s| weights[s] * q[s] * row[s]).sum();
+                triangle[k][l] = r;
+                (0..n).for_each(|s| row[s] -= r * q[s]);
+            }
+        }
+        let norm = (0..n).map(|s| weights[s] * row[s] * row[s]).sum::<f64>().sqrt();
+        triangle[k][k] = norm;
+        rows.push((norm * norm > SHOWN).then(|| row.iter().map(|x| x / norm).collect()));
+    }
+    // Back substitution: value = sum over l of (q_l, value) q_l = sum over k of a_k psi_k.
+    let mut out = vec![0.0; count * n];
+    for k in (0..count).rev() {
+        let Some(q) = &rows[k] else { continue };
+        for s in 0..n {
+            let others: f64 = (k + 1..count).map(|m| triangle[m][k] * out[m * n + s]).sum();
+            out[k * n + s] = (weights[s] * q[s] - others) / triangle[k][k];
+        }
+    }
+    out
+}
+
+/// Corners of a rectangle in a plane around points of it.
+fn rectangle(plane: &Plane, points: impl Iterator<Item = Vec3> + Clone) -> Vec<Vec3> {
+    let origin = plane.point;
+    // Along the first edge that has a length: that of a mesh of rectangles.
+    let mut two = points.clone().take(2);
+    let edge = two.next().zip(two.next()).map_or(Vec3::X, |(a, b)| b - a);
+    let along = edge.reject_from(plane.normal).normalize_or(plane.normal.any_orthonormal_vector());
+    let across = plane.normal.cross(along);
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    for x in points {
+        for (k, axis) in [along, across].into_iter().enumerate() {
+            let t = (x - origin).dot(axis);
+            (low[k], high[k]) = (low[k].min(t), high[k].max(t));
+        }
+    }
+    let corner = |s: f64, t: f64| origin + s * along + t * across;
+    vec![corner(low[0], low[1]), corner(high[0], low[1]), corner(high[0], high[1]), corner(low[0], high[1])]
+}
+
+/// Corners of the box around points.
+fn corners_of_box(points: impl Iterator<Item = Vec3>) -> Vec<Vec3> {
+    let (low, high) = crate::visibility::body::extremes(points);
+    let pick = |k: usize, bit: usize| if k >> bit & 1 == 0 { low[bit] } else { high[bit] };
+    (0..8).map(|k| Vec3::new(pick(k, 0), pick(k, 1), pick(k, 2))).collect()
+}
+
+/// Plans the clusters, sorting the patches.
+fn drafts(scene: &Scene, sorted: &mut [u32]) -> Vec<Draft> {
+    let regions = regions(scene);
+    let mut drafts = vec![Draft { parent: NONE, level: 0, children: 0..0, patches: 0..scene.len() }];
+    let mut number = 0;
+    while number < drafts.len() {
+        let Draft { level, patches: Range { start, end }, .. } = drafts[number];
+        if end - start > 1 {
+            let middle = start + part(scene, &regions, &mut sorted[start..end]);
+            let first = drafts.len() as u32;
+            drafts[number].children = first..first + 2;
+            for patches in [start..middle, middle..end] {
+                drafts.push(Draft { parent: number as u32, level: level + 1, children: 0..0, patches });
+            }
+        }
+        number += 1;
+    }
+    drafts
+}
+
+/// The patches that lie in one plane and face the same way.
+struct Regions {
+    /// The region of every patch.
+    of: Vec<u32>,
+    /// Mean position and normal of every region.
+    places: Vec<Place>,
+}
+
+fn regions(scene: &Scene) -> Regions {
+    let (low, high) = crate::visibility::body::extremes(scene.faces().iter().flatten().map(|&v| scene.vertices()[v as usize]));
+    let (middle, size) = (0.5 * (low + high), (high - low).max_element().max(f64::MIN_POSITIVE));
+    // Rounded: two that fall on either side of a step become two regions, which only costs a few links.
+    let key = |i: usize| {
+        let n = scene.normals()[i];
+        let offset = n.dot(scene.triangle(i)[0] - middle) / size;
+        [n.x, n.y, n.z, offset].map(|x| (x / SAME).round() as i64)
+    };
+    let mut known: HashMap<[i64; 4], u32> = HashMap::new();
+    let (mut of, mut moments): (Vec<u32>, Vec<Moments>) = (Vec::new(), Vec::new());
+    for i in 0..scene.len() {
+        let region = *known.entry(key(i)).or_insert(moments.len() as u32);
+        let own = Moments::of_patch(scene.areas()[i], centre(&scene.triangle(i)), scene.normals()[i]);
+        if region as usize == moments.len() {
+            moments.push(own);
+        } else {
+            let sum = Moments::of_all([&moments[region as usize], &own].into_iter());
+            moments[region as usize] = sum;
+        }
+        of.push(region);
+    }
+    Regions { of, places: moments.iter().map(|m| m.mean).collect() }
+}
+
+/// Parts some patches in two; returns how many are in the first half.
+fn part(scene: &Scene, regions: &Regions, patches: &mut [u32]) -> usize {
+    let first = regions.of[patches[0] as usize];
+    let is_flat = patches.iter().all(|&i| regions.of[i as usize] == first);
+    let place_of = |i: u32| {
+        let i = i as usize;
+        if is_flat { place(centre(&scene.triangle(i)), scene.normals()[i]) } else { regions.places[regions.of[i] as usize] }
+    };
+    let (mut low, mut high) = ([f64::INFINITY; 6], [f64::NEG_INFINITY; 6]);
+    let (mut area, mut sum, mut squares) = (0.0, [0.0; 6], [0.0; 6]);
+    for &i in patches.iter() {
+        let (z, a) = (place_of(i), scene.areas()[i as usize]);
+        area += a;
+        for k in 0..6 {
+            (low[k], high[k]) = (low[k].min(z[k]), high[k].max(z[k]));
+            sum[k] += a * z[k];
+            squares[k] += a * z[k] * z[k];
+        }
+    }
+    let variance = |k: usize| squares[k] / area - (sum[k] / area).powi(2);
+    let widest = |axes: Range<usize>, width: &dyn Fn(usize) -> f64| {
+        axes.max_by(|a, b| width(*a).total_cmp(&width(*b))).unwrap_or(0)
+    };
+    let (axis, bound) = if !is_flat && (3..6).map(variance).sum::<f64>() > FACING {
+        let axis = widest(3..6, &variance);
+        (axis, sum[axis] / area)
+    } else {
+        let axis = widest(0..3, &|k| high[k] - low[k]);
+        (axis, 0.5 * (low[axis] + high[axis]))
+    };
+    // By the region where two have one place, by the number where two patches have.
+    let key = |i: u32| (place_of(i)[axis], regions.of[i as usize], i);
+    let comes_first = |i: u32| key(i).0 < bound;
+    let count = patches.iter().filter(|&&i| comes_first(i)).count();
+    if 0 < count && count < patches.len() {
+        patches.sort_by_key(|&i| !comes_first(i));
+        return count;
+    }
+    patches.sort_by(|a, b| {
+        let ((x, r, i), (y, s, j)) = (key(*a), key(*b));
+        x.total_cmp(&y).then(r.cmp(&s)).then(i.cmp(&j))
+    });
+    let half = patches.len() / 2;
+    if is_flat {
+        return half;
+    }
+    // Not through a region.
+    let region = |k: usize| regions.of[patches[k] as usize];
+    (half..patches.len()).find(|&k| region(k) != region(k - 1)).or((1..half).rfind(|&k| region(k) != region(k - 1))).unwrap_or(half)
+}
