@@ -63,6 +63,11 @@ impl Moments {
         all
     }
 
+    /// Variance of positions, m^2.
+    pub fn variance(&self) -> f64 {
+        (0..3).map(|k| self.scatter[k][k]).sum::<f64>() / self.area
+    }
+
     fn scatter(&mut self, area: f64, dz: &Place) {
         for k in 0..6 {
             (0..6).for_each(|l| self.scatter[k][l] += area * dz[k] * dz[l]);

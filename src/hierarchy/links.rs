@@ -7,8 +7,8 @@
 
 use rayon::prelude::*;
 
-use super::oracle::{Exchange, Visibility};
-use super::push_pull::{Layout, pull, push, up};
+use super::oracle::Exchange;
+use super::push_pull::{Layout, multiply};
 use super::refine::Found;
 use super::tree::Tree;
 use crate::assembly::{FormFactors, Order};
@@ -29,6 +29,17 @@ pub struct Link {
     pub exchange: Exchange,
 }
 
+/// A link as one of its nodes sees it.
+#[derive(Debug, Clone, Copy, Default)]
+struct End {
+    /// The matrix.
+    at: usize,
+    /// The other node.
+    other: u32,
+    /// Whether this node is q, and the matrix to be read by columns.
+    is_second: bool,
+}
+
 /// The links of a scene as an operator.
 ///
 /// A vector has the coefficients of the functions on the leaves: where radiosity is constant, one a patch, in the order of the
@@ -40,9 +51,9 @@ pub struct Links {
     /// The links with their matrices.
     pub found: Found,
     layout: Layout,
-    /// Links of node k: `of_node[start[k]..start[k + 1]]`, each with whether the node is its q.
+    /// Ends of links at node k: `ends[start[k]..start[k + 1]]`.
     start: Vec<u32>,
-    of_node: Vec<(u32, bool)>,
+    ends: Vec<End>,
     /// The leaf of every row, the function, and the area.
     rows: Vec<(u32, u32)>,
     areas: Vec<f64>,
@@ -56,11 +67,11 @@ impl Links {
         let carrying = || found.links.iter().enumerate().filter(|(_, link)| link.at != NO_MATRIX);
         carrying().for_each(|(_, link)| [link.p, link.q].iter().for_each(|&k| start[k as usize + 1] += 1));
         (0..count).for_each(|k| start[k + 1] += start[k]);
-        let mut of_node = vec![(0, false); start[count] as usize];
+        let mut ends = vec![End::default(); start[count] as usize];
         let mut next = start.clone();
-        for (number, link) in carrying() {
-            for (node, is_second) in [(link.p, false), (link.q, true)] {
-                of_node[next[node as usize] as usize] = (number as u32, is_second);
+        for (_, link) in carrying() {
+            for (node, other, is_second) in [(link.p, link.q, false), (link.q, link.p, true)] {
+                ends[next[node as usize] as usize] = End { at: link.at, other, is_second };
                 next[node as usize] += 1;
             }
         }
@@ -72,7 +83,7 @@ impl Links {
                 .collect(),
         };
         let areas = rows.iter().map(|row| tree.nodes[row.0 as usize].area).collect();
-        Links { layout: Layout::new(&tree), tree, found, start, of_node, rows, areas }
+        Links { layout: Layout::new(&tree), tree, found, start, ends, rows, areas }
     }
 
     /// The tree and the links apart, for more refinement.
@@ -103,33 +114,28 @@ impl Links {
             let at = self.place(r, bands);
             moments[at..at + bands].iter_mut().zip(row).for_each(|(m, x)| *m = self.areas[r] * x);
         }
-        pull(&self.tree, &self.layout, bands, &mut moments);
+        self.layout.pull(bands, &mut moments);
         moments
+    }
+
+    /// The links that end at a node.
+    fn ends(&self, node: usize) -> &[End] {
+        &self.ends[self.start[node] as usize..self.start[node + 1] as usize]
     }
 
     /// Adds to `out` what a node gathers over its own links.
     fn gather_at(&self, node: usize, moments: &[f64], bands: usize, out: &mut [f64]) {
-        for &(number, is_second) in &self.of_node[self.start[node] as usize..self.start[node + 1] as usize] {
-            let link = &self.found.links[number as usize];
-            let other = if is_second { link.p } else { link.q } as usize;
-            let from = &moments[self.layout.of(other, bands)];
-            self.carry(link, is_second, from, bands, out);
+        for end in self.ends(node) {
+            let from = &moments[self.layout.of(end.other as usize, bands)];
+            self.carry(end, node, !end.is_second, from, bands, out);
         }
     }
 
-    /// out_k += sum over l of S_kl from_l, or of S_lk when `transposed`.
-    fn carry(&self, link: &Link, transposed: bool, from: &[f64], bands: usize, out: &mut [f64]) {
-        let columns = self.tree.nodes[link.q as usize].functions.len();
-        let rows = self.tree.nodes[link.p as usize].functions.len();
-        let matrix = &self.found.matrices[link.at..][..rows * columns];
-        for (k, numbers) in matrix.chunks_exact(columns).enumerate() {
-            for (l, s) in numbers.iter().enumerate() {
-                let [to, of] = if transposed { [l, k] } else { [k, l] };
-                for b in 0..bands {
-                    out[to * bands + b] += s * from[of * bands + b];
-                }
-            }
-        }
+    /// out_k += sum over l of S_kl from_l for a link's end at `node`; forwards from its q to its p, or the other way.
+    fn carry(&self, end: &End, node: usize, forwards: bool, from: &[f64], bands: usize, out: &mut [f64]) {
+        let [here, there] = [node, end.other as usize].map(|k| self.layout.functions(k));
+        let [rows, columns] = if end.is_second { [there, here] } else { [here, there] };
+        multiply(&self.found.matrices[end.at..], rows, columns, !forwards, from, bands, out);
     }
 
     /// What arrives at every node from a vector x, pushed down.
@@ -145,12 +151,25 @@ impl Links {
         }
         let gather = |(number, out): (usize, &mut [f64])| self.gather_at(number, &moments, bands, out);
         parts.into_par_iter().with_min_len(64).enumerate().for_each(gather);
-        push(&self.tree, &self.layout, bands, &mut arriving);
+        self.layout.push(bands, &mut arriving);
         arriving
     }
 
-    /// An estimate of the largest sum over j of |dF_ij|, and the node's share of it for every patch: what its links and those of
-    /// all above it may be wrong by.
+    /// 1 - F 1, a number a row: what light that is 1 everywhere does not bring back.
+    pub fn missing(&self) -> Vec<f64> {
+        let mut one = self.ones();
+        let mut sums = vec![0.0; one.len()];
+        self.apply(&one, 1, &mut sums);
+        one.iter_mut().zip(sums).for_each(|(one, sum)| *one -= sum);
+        one
+    }
+
+    /// The vector of what is 1 everywhere.
+    fn ones(&self) -> Vec<f64> {
+        self.rows.iter().map(|&(_, function)| f64::from(u8::from(function == 0))).collect()
+    }
+
+    /// For every node the sum over j of |dF_ij|, at most: what its links and those of all above it may be wrong by.
     pub fn row_errors(&self) -> Vec<f64> {
         let mut errors = vec![0.0; self.tree.nodes.len()];
         for link in &self.found.links {
@@ -164,7 +183,8 @@ impl Links {
         errors
     }
 
-    /// How many links end at each level of the tree, the root's first; every link has two ends.
+    /// How many links end at each level of the tree, the root's first: with full, no, and partial visibility. Every link has two
+    /// ends.
     pub fn levels(&self) -> Vec<[u64; 3]> {
         let deepest = self.tree.nodes.iter().map(|node| node.level).max().unwrap_or(0);
         let mut counts = vec![[0; 3]; deepest as usize + 1];
@@ -174,11 +194,6 @@ impl Links {
             }
         }
         counts
-    }
-
-    /// Links of which it is known that they carry something, and those that are known not to.
-    pub fn count(&self, visibility: Visibility) -> usize {
-        self.found.links.iter().filter(|link| link.exchange.visibility == visibility).count()
     }
 }
 
@@ -195,12 +210,12 @@ impl FormFactors for Links {
         let bands = out.len();
         let moments = self.pulled(x, bands);
         let (leaf, function) = self.rows[i];
-        let above: Vec<usize> = up(&self.tree, leaf as usize).collect();
+        let above: Vec<usize> = self.layout.up(leaf as usize).collect();
         let mut arriving: Vec<f64> = Vec::new();
         for &node in above.iter().rev() {
             let mut own = vec![0.0; self.layout.of(node, bands).len()];
             if !arriving.is_empty() {
-                super::push_pull::push_one(&self.tree, node, bands, &arriving, &mut own);
+                self.layout.push_one(node, bands, &arriving, &mut own);
             }
             self.gather_at(node, &moments, bands, &mut own);
             arriving = own;
@@ -215,16 +230,15 @@ impl FormFactors for Links {
         let at = self.place(i, bands);
         moments[at..at + bands].iter_mut().zip(amount).for_each(|(m, x)| *m = self.areas[i] * x);
         let mut arriving = vec![0.0; moments.len()];
-        for node in up(&self.tree, leaf) {
+        for node in self.layout.up(leaf) {
             let own = moments[self.layout.of(node, bands)].to_vec();
-            for &(number, is_second) in &self.of_node[self.start[node] as usize..self.start[node + 1] as usize] {
-                let link = &self.found.links[number as usize];
-                let other = if is_second { link.p } else { link.q } as usize;
-                self.carry(link, !is_second, &own, bands, &mut arriving[self.layout.of(other, bands)]);
+            for end in self.ends(node) {
+                let to = self.layout.of(end.other as usize, bands);
+                self.carry(end, node, end.is_second, &own, bands, &mut arriving[to]);
             }
-            super::push_pull::pull_one(&self.tree, &self.layout, node, bands, &mut moments);
+            self.layout.pull_one(node, bands, &mut moments);
         }
-        push(&self.tree, &self.layout, bands, &mut arriving);
+        self.layout.push(bands, &mut arriving);
         for (r, out) in out.chunks_exact_mut(bands).enumerate() {
             let at = self.place(r, bands);
             out.iter_mut().zip(&arriving[at..]).for_each(|(out, h)| *out += h);
@@ -250,7 +264,8 @@ impl FormFactors for Links {
         self.tree.nbytes()
             + size_of_val(self.found.links.as_slice())
             + size_of_val(self.found.matrices.as_slice())
-            + size_of_val(self.of_node.as_slice())
+            + self.layout.nbytes()
+            + size_of_val(self.ends.as_slice())
             + size_of_val(self.start.as_slice())
             + size_of_val(self.rows.as_slice())
             + size_of_val(self.areas.as_slice())

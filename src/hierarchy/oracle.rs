@@ -8,8 +8,8 @@
 //! samples is the error of the kernel; that of visibility, where v is neither 0 nor 1, is how far V differs from its mean.
 //! A shaft that no convex body reaches into proves v = 1; else segments are cast.
 
-use super::functions::MOST;
-use super::tree::{Node, SAMPLES, Tree};
+use super::functions::{MOST, Place};
+use super::tree::{Node, Tree};
 use crate::assembly::Blockers;
 use crate::form_factor::area_quadrature::kernel;
 use crate::form_factor::{Accuracy, Batch, Shape};
@@ -57,7 +57,7 @@ pub struct Exchange {
 impl Exchange {
     /// How far the link is wrong: the integral of |d(K V)|, m^2.
     pub fn error(&self) -> f64 {
-        self.kernel_error * self.fraction + self.unoccluded * (self.unevenness + self.fraction_error)
+        self.kernel_error + self.unoccluded * (self.unevenness + self.fraction_error)
     }
 
     /// G, m^2.
@@ -83,61 +83,62 @@ impl<'a> Oracle<'a> {
         Oracle { scene, blockers, accuracy, seed, batch: Batch::new(), values: Vec::new(), half: Vec::new() }
     }
 
-    /// The exchange without what stands between, and S of it, appended to `matrix`: K_p rows of K_q numbers. `None` where there is
-    /// certainly none.
-    pub fn unoccluded(&mut self, tree: &Tree, p: usize, q: usize, matrix: &mut Vec<f64>) -> Option<Exchange> {
-        let (a, b) = (&tree.nodes[p], &tree.nodes[q]);
-        let (rows, columns) = (a.functions.len(), b.functions.len());
+    /// What samples may have missed of the kernel, the integral of |dK|, m^2: nothing, but next to each other, or across the other's
+    /// horizon.
+    pub fn unseen(&self, a: &Node, b: &Node) -> f64 {
+        let (distance, reach) = (a.centre.distance(b.centre), a.radius + b.radius);
+        if reach < distance && a.faces(b) && b.faces(a) {
+            return 0.0;
+        }
+        UNSHOWN * a.area * b.area / (std::f64::consts::PI * distance.max(reach).powi(2))
+    }
+
+    /// The exchange without what stands between, as the samples show it, and S of it, appended to `matrix`: K_p rows of K_q
+    /// numbers.
+    pub fn seen(&mut self, a: &Node, b: &Node, matrix: &mut Vec<f64>) -> Exchange {
         let first = matrix.len();
         self.fit(a, b, matrix);
-        let distance = a.centre.distance(b.centre);
-        let reach = (a.radius + b.radius) / distance;
-        let whole = a.area * b.area;
-        let mut mean = matrix[first];
-        if a.is_element() && b.is_element() && (reach > NEAR || !(mean > 0.0)) {
-            let corners = [tree.triangle(p), tree.triangle(q)];
-            let exact = self.batch.exchange(&Shape::new(&corners[0]), &Shape::new(&corners[1]), &self.accuracy) / whole;
-            if !(exact > 0.0) {
-                matrix.truncate(first);
-                return None;
-            }
-            if mean > 0.0 {
-                let scale = exact / mean;
-                matrix[first..].iter_mut().for_each(|s| *s *= scale);
-                self.values.iter_mut().for_each(|value| *value *= scale);
-            }
-            matrix[first] = exact;
-            mean = exact;
+        let squared = (a.radius.powi(2) + b.radius.powi(2)) / a.centre.distance_squared(b.centre);
+        let unseen = self.unseen(a, b);
+        if unseen == 0.0 {
+            matrix[first] += unresolved(a, b, matrix[first]);
         }
-        let left = self.left(a, b, &matrix[first..]);
-        let unshown = UNSHOWN * (a.radius.powi(2) + b.radius.powi(2)) / (distance * distance);
-        // What samples may have missed: where all else is known, nothing; next to each other, or across the other's horizon, anything.
-        let is_known = rows == 1 && columns == 1 && a.is_leaf() && b.is_leaf();
-        let is_plain = reach < 1.0 && a.faces(b) && b.faces(a);
-        let missed = if is_plain { 0.0 } else { UNSHOWN / (std::f64::consts::PI * distance.max(a.radius + b.radius).powi(2)) };
-        let error = if is_known { 0.0 } else { left.max(unshown * mean).min(mean).max(missed) };
-        Some(Exchange {
+        let mean = matrix[first];
+        let error = self.left(a, b, &matrix[first..]).max(UNSHOWN * squared * mean).min(mean);
+        let whole = a.area * b.area;
+        Exchange {
             unoccluded: mean * whole,
-            kernel_error: error * whole,
+            kernel_error: (error * whole).max(unseen),
             visibility: Visibility::Full,
             fraction: 1.0,
             unevenness: 0.0,
             fraction_error: 0.0,
-        })
+        }
+    }
+
+    /// Puts the exact exchange of two convex polygons in place of the sampled one, where that may be wrong; false when there is none.
+    pub fn make_exact(&mut self, a: &Node, b: &Node, exchange: &mut Exchange, matrix: &mut [f64]) -> bool {
+        // Two patches are known by their exchange alone.
+        let is_known = matrix.len() == 1 && a.is_leaf() && b.is_leaf();
+        let reach = (a.radius + b.radius) / a.centre.distance(b.centre);
+        if !(a.is_polygon && b.is_polygon && (is_known || reach > NEAR || !(exchange.unoccluded > 0.0))) {
+            return true;
+        }
+        let exact = self.batch.exchange(&Shape::new(&a.hull), &Shape::new(&b.hull), &self.accuracy);
+        let scale = if exchange.unoccluded > 0.0 { exact / exchange.unoccluded } else { 0.0 };
+        matrix.iter_mut().for_each(|s| *s *= scale);
+        matrix[0] = exact / (a.area * b.area);
+        exchange.unoccluded = exact;
+        exchange.kernel_error = if is_known { 0.0 } else { exchange.kernel_error.min(exact) };
+        exact > 0.0
     }
 
     /// Appends S = D_p K D_q^T to `matrix`; K at the samples stays in `values`.
     fn fit(&mut self, a: &Node, b: &Node, matrix: &mut Vec<f64>) {
         let (m, n) = (a.samples.len(), b.samples.len());
-        let at = |z: &[f64; 6]| (Vec3::new(z[0], z[1], z[2]), Vec3::new(z[3], z[4], z[5]));
         self.values.clear();
         for y in &a.samples {
-            let (x, normal) = at(y);
-            self.values.extend(b.samples.iter().map(|z| {
-                let (other, other_normal) = at(z);
-                let k = kernel(x, normal, other, other_normal);
-                if k.is_finite() { k } else { 0.0 }
-            }));
+            self.values.extend(b.samples.iter().map(|z| kernel_between(y, z)));
         }
         // D_p K, a row for each function of p.
         let rows = a.functions.len();
@@ -157,19 +158,16 @@ impl<'a> Oracle<'a> {
     }
 
     /// The mean over all pairs of samples of |K - fit|.
-    fn left(&mut self, a: &Node, b: &Node, matrix: &[f64]) -> f64 {
-        let (m, n, columns) = (a.samples.len(), b.samples.len(), b.functions.len());
-        let mut on_b = [[0.0; MOST]; SAMPLES];
-        b.samples.iter().zip(&mut on_b).for_each(|(z, values)| *values = b.functions.at(z));
+    fn left(&self, a: &Node, b: &Node, matrix: &[f64]) -> f64 {
+        let (n, columns) = (b.samples.len(), b.functions.len());
         let mut left = 0.0;
-        for s in 0..m {
-            let on_a = a.functions.at(&a.samples[s]);
+        for (s, on_a) in a.values.chunks_exact(a.functions.len()).enumerate() {
             let mut row = [0.0; MOST];
-            for (k, numbers) in matrix.chunks_exact(columns).enumerate() {
-                (0..columns).for_each(|l| row[l] += on_a[k] * numbers[l]);
+            for (value, numbers) in on_a.iter().zip(matrix.chunks_exact(columns)) {
+                row.iter_mut().zip(numbers).for_each(|(row, number)| *row += value * number);
             }
-            for t in 0..n {
-                let fitted: f64 = (0..columns).map(|l| row[l] * on_b[t][l]).sum();
+            for (t, on_b) in b.values.chunks_exact(columns).enumerate() {
+                let fitted: f64 = row.iter().zip(on_b).map(|(row, value)| row * value).sum();
                 // The first row of the fit holds the weights.
                 left += a.fit[s] * b.fit[t] * (self.values[s * n + t] - fitted).abs();
             }
@@ -221,4 +219,21 @@ impl<'a> Oracle<'a> {
         exchange.fraction_error =
             if v > 0.0 && v < 1.0 { (v * (1.0 - v) / effective).sqrt() } else { 1.0 / (effective + 2.0) };
     }
+}
+
+/// K, or 0 where two means of parts are the same place.
+fn kernel_between(y: &Place, z: &Place) -> f64 {
+    let at = |z: &Place| (Vec3::new(z[0], z[1], z[2]), Vec3::new(z[3], z[4], z[5]));
+    let ((x, normal), (other, other_normal)) = (at(y), at(z));
+    let k = kernel(x, normal, other, other_normal);
+    if k.is_finite() { k } else { 0.0 }
+}
+
+/// What the mean of K over the samples lacks, since each stands for a part of its node by the mean of that: to second order as much
+/// for its variance as what the samples show more than a single pair of means (Richardson's extrapolation).
+fn unresolved(a: &Node, b: &Node, mean: f64) -> f64 {
+    let [y, z] = [a, b].map(|node| *node.functions.mean());
+    let one = kernel_between(&y, &z);
+    let share = 0.5 * (a.unresolved + b.unresolved);
+    if one > 0.0 { ((mean - one) * share / (1.0 - share)).clamp(-UNSHOWN * mean, UNSHOWN * mean) } else { 0.0 }
 }

@@ -224,11 +224,17 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
     if let Some(number) = to_part.filter(|_| pair.part) {
         return part(pair.clear, number, out);
     }
+    if let Some(number) = to_part.filter(|_| !goal.allows(p, q, oracle.unseen(a, b))) {
+        return part(pair.clear, number, out);
+    }
     let at = out.found.matrices.len();
-    let Some(mut exchange) = oracle.unoccluded(tree, p, q, &mut out.found.matrices) else { return };
+    let mut exchange = oracle.seen(a, b, &mut out.found.matrices);
     if let Some(number) = to_part.filter(|_| !goal.allows(p, q, exchange.kernel_error)) {
         out.found.matrices.truncate(at);
         return part(pair.clear, number, out);
+    }
+    if !oracle.make_exact(a, b, &mut exchange, &mut out.found.matrices[at..]) {
+        return out.found.matrices.truncate(at);
     }
     let clear = pair.clear || oracle.is_clear(tree, p, q);
     if !clear {

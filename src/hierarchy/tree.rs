@@ -57,12 +57,16 @@ pub struct Node {
     pub body: u32,
     /// Points whose convex hull holds it.
     pub hull: Vec<Vec3>,
+    /// Whether it is all of that hull: a convex polygon.
+    pub is_polygon: bool,
     /// What irradiance and radiosity are on it.
     pub functions: Functions,
-    /// Where the parent's functions on it are kept in the tree's `push`.
-    push: usize,
     /// Places from which it is looked at, each standing for some of its area.
     pub samples: Vec<Place>,
+    /// The share of the variance of its positions that is within what the samples stand for.
+    pub unresolved: f64,
+    /// K numbers a sample: the functions there.
+    pub values: Vec<f64>,
     /// K rows of one number a sample: the linear function that fits values at the samples best.
     pub fit: Vec<f64>,
 }
@@ -125,7 +129,6 @@ pub struct Tree {
     /// Those of the scene, then midpoints of edges.
     pub vertices: Vec<Vec3>,
     midpoints: HashMap<[u32; 2], u32>,
-    push: Vec<f64>,
 }
 
 /// A node while the tree is planned.
@@ -152,7 +155,6 @@ impl Tree {
             node_of: vec![NONE; scene.len()],
             vertices: scene.vertices().to_vec(),
             midpoints: HashMap::new(),
-            push: Vec::new(),
             sorted,
             areas,
         };
@@ -181,10 +183,8 @@ impl Tree {
         tree.nodes.reverse();
         for number in 0..tree.nodes.len() {
             if !tree.nodes[number].is_element() {
-                let (samples, fit) = tree.looked_at(number);
-                (tree.nodes[number].samples, tree.nodes[number].fit) = (samples, fit);
+                tree.look_at(number);
             }
-            tree.join(number);
         }
         tree
     }
@@ -200,7 +200,7 @@ impl Tree {
         let radius = corners.iter().map(|x| x.distance(middle)).fold(0.0, f64::max);
         let functions = Functions::new(&moments, radius);
         let samples: Vec<Place> = quarters(&corners).map(|x| place(x, normal)).to_vec();
-        let fit = fit(&functions, &samples, &[0.25; 4]);
+        let (values, fit) = fit(&functions, &samples, &[0.25; 4]);
         let node = Node {
             parent: NONE,
             children: 0..0,
@@ -216,9 +216,12 @@ impl Tree {
             spread: 0.0,
             body,
             hull: corners.to_vec(),
+            is_polygon: true,
             functions,
-            push: 0,
             samples,
+            // Of a triangle cut into four.
+            unresolved: 0.25,
+            values,
             fit,
         };
         (node, moments)
@@ -260,16 +263,18 @@ impl Tree {
             axis,
             spread,
             body,
+            is_polygon: plane.is_some() && (area(&hull) - moments.area).abs() <= SAME * moments.area,
             hull,
             functions: Functions::new(moments, radius),
-            push: 0,
             samples: Vec::new(),
+            unresolved: moments.variance(),
+            values: Vec::new(),
             fit: Vec::new(),
         }
     }
 
-    /// The places from which a cluster is looked at, and how values there are fitted: the means of its largest parts.
-    fn looked_at(&self, number: usize) -> (Vec<Place>, Vec<f64>) {
+    /// Sets the places from which a cluster is looked at, and how values there are fitted: the means of its largest parts.
+    fn look_at(&mut self, number: usize) {
         let mut parts = vec![number];
         while parts.len() < SAMPLES {
             let divisible = parts.iter().enumerate().filter(|(_, part)| !self.nodes[**part].is_leaf());
@@ -292,29 +297,13 @@ impl Tree {
                 weights.push(node.area / whole);
             }
         }
-        let fit = fit(&self.nodes[number].functions, &samples, &weights);
-        (samples, fit)
-    }
-
-    /// Keeps what the functions of a node's parent are on it.
-    fn join(&mut self, number: usize) {
-        self.nodes[number].push = self.push.len();
-        let node = &self.nodes[number];
-        if node.parent != NONE {
-            let matrix = node.functions.of_parent(&self.nodes[node.parent as usize].functions);
-            self.push.extend(matrix);
-        }
-    }
-
-    /// The parent's functions on a node, K rows of as many numbers as the parent has functions.
-    #[inline]
-    pub fn push(&self, number: usize) -> &[f64] {
-        let node = &self.nodes[number];
-        if node.parent == NONE {
-            return &[];
-        }
-        let size = node.functions.len() * self.nodes[node.parent as usize].functions.len();
-        &self.push[node.push..][..size]
+        let node = &mut self.nodes[number];
+        let centre = node.centre;
+        let offset = |z: &Place| (Vec3::new(z[0], z[1], z[2]) - centre).length_squared();
+        let shown: f64 = samples.iter().zip(&weights).map(|(z, weight)| weight * offset(z)).sum();
+        node.unresolved = (1.0 - shown / node.unresolved).clamp(0.0, 0.5);
+        (node.values, node.fit) = fit(&node.functions, &samples, &weights);
+        node.samples = samples;
     }
 
     /// Cuts a leaf into four.
@@ -326,7 +315,6 @@ impl Tree {
         for face in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
             let (node, _) = self.element(face, axis, patch, body);
             self.nodes.push(Node { parent: number as u32, level: level + 1, patches: patches.clone(), ..node });
-            self.join(self.nodes.len() - 1);
         }
     }
 
@@ -379,10 +367,11 @@ impl Tree {
             size_of::<Node>()
                 + size_of_val(node.hull.as_slice())
                 + size_of_val(node.samples.as_slice())
+                + size_of_val(node.values.as_slice())
                 + size_of_val(node.fit.as_slice())
                 + node.functions.nbytes()
         };
-        self.nodes.iter().map(of_node).sum::<usize>() + size_of_val(self.push.as_slice())
+        self.nodes.iter().map(of_node).sum::<usize>()
     }
 }
 
@@ -392,9 +381,9 @@ fn quarters([a, b, c]: &Triangle) -> [Vec3; 4] {
     [part(*a, *b, *c), part(*b, *c, *a), part(*c, *a, *b), (*a + *b + *c) / 3.0]
 }
 
-/// K rows of one number a sample: coefficients of the least-squares fit of values at the samples. A function that does not show
-/// at the samples takes no part.
-fn fit(functions: &Functions, samples: &[Place], weights: &[f64]) -> Vec<f64> {
+/// The functions at the samples, K numbers each; and K rows of one number a sample: coefficients of the least-squares fit of values
+/// there. A function that does not show at the samples takes no part.
+fn fit(functions: &Functions, samples: &[Place], weights: &[f64]) -> (Vec<f64>, Vec<f64>) {
     /// Of the variance that a function has.
     const SHOWN: f64 = 0.02;
     let (count, n) = (functions.len(), samples.len());
@@ -424,7 +413,7 @@ fn fit(functions: &Functions, samples: &[Place], weights: &[f64]) -> Vec<f64> {
             out[k * n + s] = (weights[s] * q[s] - others) / triangle[k][k];
         }
     }
-    out
+    (values.iter().flat_map(|value| value[..count].to_vec()).collect(), out)
 }
 
 /// Corners of a rectangle in a plane around points of it.

@@ -17,7 +17,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::accuracy::{assess, forecast_scene, solve_scene};
+    use super::accuracy::{assess, forecast_scene, solve_scene, try_hierarchical};
     #[pymodule_export]
     use super::assembly::FormFactors;
     #[pymodule_export]
