@@ -14,6 +14,7 @@ __all__ = [
     "pair_form_factors",
     "render",
     "solve",
+    "solve_hierarchical",
     "solve_scene",
 ]
 
@@ -49,6 +50,23 @@ class _SolvedScene(TypedDict):
     unshot: _Floats
     audit: list[_Floats] | None
     seconds: list[tuple[str, float]]
+
+class _SolvedOnLinks(TypedDict):
+    irradiance: _Floats
+    error_estimate: float
+    vertices: _Floats
+    faces: _Ints
+    parents: _Ints
+    on_faces: _Floats
+    leaves: int
+    links: int
+    nbytes: int
+    segments: int
+    stopped: int
+    out_of_memory: bool
+    residuals: _Floats
+    unshot: _Floats
+    audit: list[_Floats]
 
 @final
 class Scene:
@@ -89,6 +107,11 @@ class FormFactors:
         threads: int | None,
         progress: _Report | None,
     ) -> FormFactors: ...
+    @staticmethod
+    def hierarchical(
+        scene: Scene, tolerance: float, seed: int, memory: int, threads: int | None, progress: _Report | None
+    ) -> tuple[FormFactors, int, bool]: ...
+    def links(self) -> tuple[_Ints, _Ints] | None: ...
     def balance(self, memory: int) -> tuple[FormFactors, float]: ...
     @staticmethod
     def from_array(array: _Floats) -> FormFactors: ...
@@ -176,3 +199,6 @@ def render(
     threads: int | None,
     progress: _Report | None,
 ) -> _Floats: ...
+def solve_hierarchical(
+    scene: Scene, tolerance: float, seed: int, memory: int, threads: int | None, progress: _Report | None
+) -> _SolvedOnLinks: ...

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import operator
 import warnings
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import _core
-from .arrays import FloatArray, read_only, real_array, seed_number, shaped, thread_count
+from .arrays import FloatArray, IntArray, read_only, real_array, seed_number, shaped, thread_count
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .scene import Scene
@@ -23,11 +24,12 @@ if TYPE_CHECKING:
     import scipy.sparse
     import scipy.sparse.linalg
 
-METHODS = ("auto", "analytic", "monte_carlo", "hemicube")
+METHODS = ("auto", "analytic", "hierarchical", "monte_carlo", "hemicube")
 
 # What to do about a tolerance that was not met.
 _ADVICE = {
     "analytic": "partly hidden patches are too large for it; subdivide the scene or ask for a looser tolerance",
+    "hierarchical": "partly hidden patches are too large for it, or the memory too small; ask for a looser tolerance",
     "monte_carlo": 'a patch gets no more than 1,048,576 rays; ask for a looser tolerance or use method="analytic"',
     "hemicube": 'a patch gets no more than 4,194,304 cells; ask for a looser tolerance or use method="analytic"',
 }
@@ -90,7 +92,8 @@ def form_factors(
         scene: the patches.
         tolerance: bound on sum over j of abs(dF_ij) for every row i, in [1e-10, 1). What was reached is
             ``.error_estimate``.
-        method: ``"auto"`` chooses. The last two are for teaching, and as checks that share no formula with the first:
+        method: ``"auto"`` is ``"analytic"``. The last two are for teaching, and as checks that share no formula with
+            the others:
 
             - ``"analytic"``: exact kernels times the visible fraction, reciprocity exact, stored densely. Two
               hundredths of the tolerance go to the unoccluded kernels. What blocks is merged to convex bodies; where no
@@ -98,6 +101,11 @@ def form_factors(
               point and averaged over one of the patches; where more do, or a patch reaches into a body, quasi-random
               segments are cast (at most 65,536 a pair). The work goes where it brings a row inside its tolerance for
               the least.
+            - ``"hierarchical"``: links between clusters of patches of all sizes, each as large as the tolerance allows
+              (``.links`` shows them), on which factors are linear in position and normal. Reciprocity exact. For a
+              loose tolerance and many patches: at 0.1 and 3,328 patches of the Cornell box in half the time of
+              ``"analytic"``, at 13,312 in a fifth; below 0.03 it is the slower. A factor may come out slightly
+              negative, within the tolerance.
             - ``"monte_carlo"``: random rays, cosine-distributed; F_ij is the fraction that meets the front of j first.
               As many a patch as the expected row error, the sum over j of E abs(dF_ij), asks for, 1,024 to 1,048,576.
               n patches seen alike need about 0.6 n / tolerance^2 of them.
@@ -123,7 +131,8 @@ def form_factors(
         UserWarning: the tolerance was not met by as many segments or rays as the method may cast.
 
     Sources:
-        Malley 1988 (Monte Carlo); Cohen & Greenberg 1985 (hemicube); Baum, Rushmeier & Winget 1989 (its assumptions).
+        Hanrahan, Salzman & Aupperle 1991 (hierarchical); Malley 1988 (Monte Carlo); Cohen & Greenberg 1985 (hemicube);
+        Baum, Rushmeier & Winget 1989 (its assumptions).
     """
     F = form_factors_as_reached(scene, tolerance, method, seed, threads, progress)
     if F.error_estimate > tolerance:
@@ -151,8 +160,36 @@ def form_factors_as_reached(
                 scene._core, method, float(tolerance), number, available_bytes(), workers, report
             )
             return FormFactors(core, scene, method)
+        if method == "hierarchical":
+            core, _, _ = _core.FormFactors.hierarchical(
+                scene._core, float(tolerance), number, available_bytes(), workers, report
+            )
+            return FormFactors(core, scene, method)
         core = _core.FormFactors.dense(scene._core, float(tolerance), number, available_bytes(), workers, report)
         return FormFactors(core, scene, "analytic")
+
+
+@dataclass(frozen=True, repr=False)
+class Links:
+    """Which blocks of a form-factor matrix are represented by one link each; m links over n patches."""
+
+    order: IntArray
+    """(n,) the patches, sorted so that those of every cluster follow each other."""
+    ranges: IntArray
+    """(m, 2, 2) first and last + 1 place in ``order`` of the two clusters of each link."""
+    levels: IntArray
+    """(m, 2) levels of the two clusters in the tree; the root, all patches, has level 0."""
+    visibility: IntArray
+    """(m,) 0 where nothing stands between, which is proven; 1 where no light passes; 2 for all else."""
+
+    @property
+    def counts(self) -> IntArray:
+        """(levels,) how many links end at each level; every link has two ends."""
+        return np.bincount(self.levels.reshape(-1))
+
+    def __repr__(self) -> str:
+        per_patch = 2.0 * len(self.levels) / len(self.order)
+        return f"Links({len(self.levels)} links, {per_patch:.1f} a patch, levels 0 to {self.levels.max(initial=0)})"
 
 
 class FormFactors:
@@ -161,7 +198,7 @@ class FormFactors:
     scene: Scene
     """The scene that the factors belong to."""
     method: str
-    """``"analytic"``, ``"monte_carlo"`` or ``"hemicube"``."""
+    """``"analytic"``, ``"hierarchical"``, ``"monte_carlo"`` or ``"hemicube"``."""
     balanced_by: float | None
     """How far :meth:`balance` has moved the factors, the largest sum over j of abs(dF_ij); None if it has not."""
 
@@ -208,6 +245,7 @@ class FormFactors:
 
         Analytic: the kernels' bound plus one standard error a sampled pair. Monte Carlo: the mean to be expected.
         Hemicube: the change from half the resolution plus the change from a quarter of the points.
+        Hierarchical: what the links say of themselves, added up over each row.
         Balanced: that of the factors before, plus ``balanced_by``, which is a bound and mostly too high.
         """
         return self._core.error_estimate
@@ -217,10 +255,24 @@ class FormFactors:
         """Number of segments cast for visibility, or of rays where a method uses rays."""
         return self._core.segments
 
+    @cached_property
+    def links(self) -> Links | None:
+        """The links of ``"hierarchical"``; None for the other methods."""
+        found = self._core.links()
+        if found is None:
+            return None
+        rows, order = found
+        return Links(
+            order=read_only(order),
+            ranges=read_only(np.ascontiguousarray(rows[:, :4].reshape(-1, 2, 2))),
+            levels=read_only(np.ascontiguousarray(rows[:, 4:6])),
+            visibility=read_only(np.ascontiguousarray(rows[:, 6])),
+        )
+
     def reciprocity_error(self) -> float:
         """The largest abs(A_i F_ij - A_j F_ji), relative to the largest A_i F_ij.
 
-        Analytic: rounding only, by construction. Monte Carlo and hemicube: two errors of sampling.
+        Analytic and hierarchical: rounding only, by construction. Monte Carlo and hemicube: two errors of sampling.
         """
         error = self._core.reciprocity_error()
         assert error is not None  # None is for matrices without areas
@@ -235,8 +287,8 @@ class FormFactors:
         without a bias stay as they are.
 
         Raises:
-            ValueError: an open scene, with the patch that shows it and its row sum; factors without exact reciprocity
-                (``"monte_carlo"``, ``"hemicube"``).
+            ValueError: an open scene, with the patch that shows it and its row sum; factors by another method than
+                ``"analytic"``.
             MemoryError: the second exchange would not fit.
 
         Sources:
@@ -244,7 +296,7 @@ class FormFactors:
         """
         if self.method != "analytic":
             raise ValueError(
-                f"balance keeps reciprocity, and the rows of {self.method!r} are sampled without it; "
+                f"balance moves single pairs of patches, which {self.method!r} does not store; "
                 'use form_factors(..., method="analytic")'
             )
         core, moved = self._core.balance(available_bytes())
@@ -284,7 +336,7 @@ class FormFactors:
 
         # Reciprocity gives the transpose for free: F^T = A F A^-1. Sampled rows have it only nearly.
         areas = self.areas
-        transpose = None if self.method == "analytic" else self.tocsr().T.tocsr()
+        transpose = None if self.method in ("analytic", "hierarchical") else self.tocsr().T.tocsr()
 
         def rmatvec(x: FloatArray) -> FloatArray:
             vector = x.reshape(-1)

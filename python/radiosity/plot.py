@@ -1,7 +1,8 @@
-"""Pictures of how a solution came about, by matplotlib (the extra ``plot``)."""
+"""Pictures of how a solution came about and what it stands on, by matplotlib (the extra ``plot``)."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -9,14 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import whole_number
+from .arrays import FloatArray, whole_number
 from .render import Camera, auto_exposure, render, to_srgb
 from .solution import Solution
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["animation", "bounces"]
+    from .form_factors import FormFactors, Links
+
+__all__ = ["animation", "bounces", "links", "links_from", "mesh"]
 
 
 def bounces(
@@ -97,6 +100,166 @@ def animation(
     images = [Image.fromarray(frame[..., 0] if frame.shape[2] == 1 else frame) for frame in frames]
     milliseconds = [round(1000 * seconds)] * (len(images) - 1) + [round(4000 * seconds)]
     images[0].save(path, save_all=True, append_images=images[1:], duration=milliseconds, loop=0)
+
+
+def links(F: FormFactors, *, size: int = 800) -> Figure:
+    """The form-factor matrix of ``method="hierarchical"`` as the blocks that one link each stands for.
+
+    Rows and columns are the patches in the order of the tree. A block's colour is the number of pairs of patches that
+    it stands for; grey blocks are hidden, white ones face away (Hanrahan, Salzman & Aupperle 1991, figure 7).
+
+    Args:
+        F: of ``method="hierarchical"``.
+        size: most pixels of the matrix, each way.
+
+    Returns:
+        A matplotlib figure.
+
+    Raises:
+        ValueError: form factors of another method.
+        ImportError: without matplotlib.
+    """
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+    found = _links_of(F)
+    n = len(found.order)
+    pixels = min(n, whole_number("size", size, 1, 10_000))
+    blocks = np.full((pixels, pixels), np.nan)
+    edges = found.ranges * pixels // n
+    pairs = np.prod(found.ranges[:, :, 1] - found.ranges[:, :, 0], axis=1).astype(float)
+    pairs[found.visibility == 1] = 0.0
+    # The large ones first: none of them may cover smaller ones that share a pixel with it.
+    for k in np.argsort(-pairs, kind="stable"):
+        (a, b), (c, d) = edges[k]
+        blocks[a : max(b, a + 1), c : max(d, c + 1)] = pairs[k]
+        blocks[c : max(d, c + 1), a : max(b, a + 1)] = pairs[k]
+    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
+    axes = figure.add_subplot()
+    axes.imshow(np.where(blocks == 0.0, 1.0, np.nan), cmap="gray", vmin=0.0, vmax=1.25, extent=(0, n, n, 0))
+    seen = np.where(blocks > 0.0, blocks, np.nan)
+    image = axes.imshow(seen, norm=LogNorm(1, max(2.0, pairs.max(initial=1.0))), extent=(0, n, n, 0))
+    figure.colorbar(image, label="pairs of patches a link")
+    axes.set_title(f"{len(found.levels):,} links for {n:,} x {n:,} form factors")
+    axes.set_xlabel("patch, in the order of the tree")
+    axes.set_ylabel("patch")
+    return figure
+
+
+def links_from(F: FormFactors, patch: int) -> Figure:
+    """The links of one patch and of all clusters that it is in, in space: a line to the centre of each other end.
+
+    Colours tell how many patches the other end stands for; links that carry nothing are left out.
+
+    Args:
+        F: of ``method="hierarchical"``.
+        patch: number of the patch.
+
+    Returns:
+        A matplotlib figure.
+
+    Raises:
+        ValueError: form factors of another method, or no such patch.
+        ImportError: without matplotlib.
+    """
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
+
+    found = _links_of(F)
+    scene = F.scene
+    place = int(np.flatnonzero(found.order == whole_number("patch", patch, 0, len(found.order) - 1))[0])
+    weights = scene.areas[found.order]
+    moments = np.vstack([np.zeros(3), np.cumsum(weights[:, None] * scene.centroids[found.order], axis=0)])
+    areas = np.concatenate([[0.0], np.cumsum(weights)])
+    holds = (found.ranges[:, :, 0] <= place) & (place < found.ranges[:, :, 1])
+    ends = np.vstack([found.ranges[holds[:, k] & (found.visibility != 1), 1 - k] for k in (0, 1)])
+    first, last = ends.T
+    centres = (moments[last] - moments[first]) / (areas[last] - areas[first])[:, None]
+    corners = scene.vertices[scene.faces]
+    outline = np.concatenate([corners[:, [k, (k + 1) % 3]] for k in range(3)])
+    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
+    axes: Any = figure.add_subplot(projection="3d")
+    axes.add_collection3d(Line3DCollection(outline, colors="0.85", linewidths=0.3))
+    start = np.broadcast_to(scene.centroids[patch], centres.shape)
+    lines = Line3DCollection(
+        np.stack([start, centres], axis=1), norm=LogNorm(1, max(2, len(found.order))), linewidths=0.8
+    )
+    lines.set_array((last - first).astype(float))
+    axes.add_collection3d(lines)
+    figure.colorbar(lines, label="patches at the other end", shrink=0.7)
+    low, high = corners.reshape(-1, 3).min(axis=0), corners.reshape(-1, 3).max(axis=0)
+    for set_limits, a, b in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), low, high, strict=True):
+        set_limits(a, b)
+    axes.set_box_aspect(np.maximum(high - low, 1e-3 * (high - low).max()))
+    axes.set_title(f"patch {patch}: {len(ends)} links for {len(found.order):,} form factors")
+    return figure
+
+
+def mesh(solution: Solution, camera: Camera, *, size: int = 600, shading: str = "smooth") -> Figure:
+    """A picture and over it the mesh that was solved on: the elements of ``method="hierarchical"``, else the patches.
+
+    Args:
+        solution: of a scene.
+        camera: the viewpoint.
+        size: width and height, pixels.
+        shading: as in :func:`radiosity.render`.
+
+    Returns:
+        A matplotlib figure.
+
+    Raises:
+        ValueError: a solution without a scene; as :func:`radiosity.render`.
+        ImportError: without matplotlib.
+    """
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
+    shown = solution if solution.elements is None else solution.elements
+    scene = shown.scene
+    if scene is None:
+        raise ValueError("a solution without a scene has no mesh")
+    picture: Any = render(shown, camera, width=size, height=size, shading=shading, progress=False)
+    corners = scene.vertices[scene.faces]
+    facing = np.einsum("ij,ij->i", scene.normals, np.asarray(camera.origin) - scene.centroids) > 0.0
+    edges = np.concatenate([corners[facing][:, [k, (k + 1) % 3]] for k in range(3)])
+    places, depth = _projected(camera, edges.reshape(-1, 3), size)
+    middle = edges.mean(axis=1)
+    ahead = (depth.reshape(-1, 2) > 0.0).all(axis=1)
+    origin = np.broadcast_to(np.asarray(camera.origin, np.float64), middle.shape)
+    nearer = middle + 1e-4 * (origin - middle)
+    seen = ahead & ~scene.occluded(origin, nearer)
+    figure = Figure(figsize=(6.0, 6.0), layout="constrained")
+    axes = figure.add_subplot()
+    frame = to_srgb(picture, auto_exposure(picture))
+    axes.imshow(frame, cmap="gray", vmin=0, vmax=255, extent=(0, size, size, 0))
+    axes.add_collection(LineCollection(list(places.reshape(-1, 2, 2)[seen]), colors="#20a0ff", linewidths=0.25))
+    axes.set_xlim(0, size)
+    axes.set_ylim(size, 0)
+    axes.set_axis_off()
+    axes.set_title(f"{len(scene.faces):,} faces")
+    return figure
+
+
+def _projected(camera: Camera, points: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
+    """(m, 2) pixels of (m, 3) points in a square picture, x to the right and y down, and (m,) their depths."""
+    forward = np.subtract(camera.target, camera.origin)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, camera.up)
+    right /= np.linalg.norm(right)
+    relative = points - np.asarray(camera.origin)
+    depth = relative @ forward
+    scale = 0.5 * size / (math.tan(math.radians(0.5 * camera.fov)) * np.where(depth > 0.0, depth, 1.0))
+    up = np.cross(right, forward)
+    places = np.stack([0.5 * size + scale * (relative @ right), 0.5 * size - scale * (relative @ up)], axis=1)
+    return places, depth
+
+
+def _links_of(F: FormFactors) -> Links:
+    found = F.links
+    if found is None:
+        raise ValueError(f'method {F.method!r} has no links; use form_factors(..., method="hierarchical")')
+    return found
 
 
 def _frames(

@@ -73,7 +73,14 @@ class Report:
     rays: int = 0
     """Rays cast."""
     elements: int = 0
-    """Patches that rays worked on: more than the scene has where those were too coarse; 0 without rays."""
+    """Patches that rays worked on: more than the scene has where those were too coarse. By ``"hierarchical"``: leaves
+    of the tree of elements. 0 for other methods."""
+    links: int = 0
+    """Links between elements; 0 for other methods than ``"hierarchical"``."""
+    stopped: int = 0
+    """Links that are not good enough, between elements below a thousandth of the scene, which are not cut."""
+    out_of_memory: bool = False
+    """Whether refinement ended because the memory did."""
     corrected: bool = False
     """Whether rays followed light point by point for one bounce more, to lower the discretisation error."""
     sampling_error: float | None = None
@@ -95,7 +102,13 @@ class Report:
             lines.append(f"F          row error about {self.row_error:.1e}, {self.segments} segments cast")
         if self.rays:
             lines.append(f"rays       {self.rays} cast, {self.segments} segments")
-        if self.elements > self.patches:
+        if self.links:
+            lines.append(f"links      {self.links} over {self.elements} elements, {self.segments} segments cast")
+            if self.stopped:
+                lines.append(f"stopped    {self.stopped} links at the smallest elements")
+            if self.out_of_memory:
+                lines.append("stopped    the memory was used up")
+        elif self.elements > self.patches:
             lines.append(f"refined    {self.elements} patches worked on")
         if self.corrected:
             lines.append("refined    one bounce more was followed point by point")
@@ -143,6 +156,9 @@ class Solution:
     """What was done and what it cost."""
     scene: Scene | None
     """The scene with the emission and reflectance that were solved for; None for a matrix that the user brought."""
+    elements: Solution | None = None
+    """By ``"hierarchical"``: the same on the leaves of the tree of elements, as a mesh without T-junctions, whose
+    ``.scene.parent`` names the patch of each face. None for other methods."""
 
     def __repr__(self) -> str:
         n, b = self.radiosity.shape

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import scipy.sparse
 
 OnIteration: TypeAlias = Callable[[int, FloatArray, FloatArray], object]
-METHODS = ("auto", "dense", "rays")
+METHODS = ("auto", "dense", "rays", "hierarchical")
 
 # Share of the tolerance that the error estimate may use; the rest is for the estimate's own error.
 _SAMPLING_SHARE = 0.8
@@ -167,11 +167,15 @@ def solve(
             It is an error of all patches together: one in deep shadow may be off by more of its own value, and even
             come out slightly negative, within its standard error. Nothing is clipped.
         method: ``"rays"``, light straight from the lamps by closed forms and all other by quasi-random rays; or
-            ``"dense"``, form factors of all pairs and GMRES, with one radiosity a patch. ``"auto"`` is ``"rays"``,
-            which reach the same true error sooner (``radiosity bench`` compares them).
+            ``"dense"``, form factors of all pairs and GMRES, with one radiosity a patch; or ``"hierarchical"``, links
+            between elements that are cut as small, and clusters of patches that are left as large, as the light asks
+            for. Its ``.elements`` are the adaptive mesh with its shadows: the tolerance holds on them point by point,
+            so that it costs more than patch averages would where patches are coarse. ``"auto"`` is ``"rays"``, which
+            reach the same true error sooner in most scenes (``radiosity bench`` compares them).
         order: of the radiosity on a patch that rays find: 1, linear, or 0, constant.
         refine: whether rays may follow light below the patches, point by point or on smaller patches, where these are
-            too coarse for the tolerance. Patch averages are reported in any case. ``"dense"`` never does.
+            too coarse for the tolerance. Patch averages are reported in any case. ``"dense"`` never does,
+            ``"hierarchical"`` always.
         seed: of the quasi-random points.
         threads: None for all cores. The result is the same for any number.
         progress: see :mod:`radiosity.progress`.
@@ -179,32 +183,46 @@ def solve(
     Raises:
         ValueError: an unknown method, a value out of range, or a scene without finite solution.
         MemoryError: the solution would not fit, with the estimate: before any work, or before the patches are cut.
+            ``"hierarchical"`` stops there, and says so.
 
     Warns:
         UserWarning: the scene has no emission; or the tolerance was not met, and ``.error_estimate`` says what was.
 
     Sources:
         Keller, "Quasi-Monte Carlo radiosity" 1996; Zatz 1993 (linear radiosity on a patch); Heinrich 2001 (corrections
-        by a finer level). The estimates are described in the crate's module ``accuracy``.
+        by a finer level); Hanrahan, Salzman & Aupperle 1991, Smits, Arvo & Greenberg 1994, Gortler et al. 1993
+        (hierarchical). The estimates are described in the crate's module ``accuracy``.
     """
     _check(scene, tolerance, method, order)
     if not scene.emission.any():
         warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
     distinct, bands = _distinct_bands(scene)
-    if method == "dense":
+    if method == "hierarchical":
+        solution = _solve_hierarchical(distinct, tolerance, seed, threads, progress)
+    elif method == "dense":
         solution = _solve_dense(distinct, tolerance, seed, threads, progress)
     else:
         solution = _solve_rays(distinct, tolerance, order, refine, seed, threads, progress)
     if solution.error_estimate > tolerance:
-        report = solution.report
         warnings.warn(
             f"the error is about {solution.error_estimate:.2g}, above the tolerance {tolerance:g}: "
-            f"{report.sampling_error:.2g} from sampling, {report.discretisation_error:.2g} from discretisation "
-            "(lowered by method='rays' with refine=True, or by scene.subdivide)",
+            f"{_reason(solution.report)}",
             UserWarning,
             stacklevel=2,
         )
     return solution if distinct is scene else _in_all_bands(solution, scene, bands)
+
+
+def _reason(report: Report) -> str:
+    """Why a tolerance was not met."""
+    if report.out_of_memory:
+        return f"{report.links} links used up the memory"
+    if report.links:
+        return f"{report.stopped} links end at elements that are too small to be cut; use method='rays'"
+    return (
+        f"{report.sampling_error:.2g} from sampling, {report.discretisation_error:.2g} from discretisation "
+        "(lowered by method='rays' with refine=True, or by scene.subdivide)"
+    )
 
 
 def forecast(
@@ -272,6 +290,11 @@ def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution
     if audit is not None:
         audit = EnergyAudit(*(getattr(audit, part.name)[bands] for part in dataclasses.fields(audit)))
     error = solution.standard_error
+    elements = solution.elements
+    if elements is not None and elements.scene is not None:
+        parent = elements.scene.parent
+        fine = elements.scene.with_materials(scene.reflectance[parent], scene.emission[parent])
+        elements = _in_all_bands(elements, fine, bands)
     return dataclasses.replace(
         solution,
         radiosity=read_only(solution.radiosity[:, bands]),
@@ -280,6 +303,7 @@ def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution
         history=tuple(Step(step.residual, step.unshot[bands]) for step in solution.history),
         report=dataclasses.replace(report, bands=scene.bands, audit=audit),
         scene=scene,
+        elements=elements,
     )
 
 
@@ -326,6 +350,56 @@ def _solve_rays(
             sampling_error=result["sampling_error"],
             discretisation_error=result["discretisation_error"],
         ),
+        scene=scene,
+    )
+
+
+def _solve_hierarchical(scene: Scene, tolerance: float, seed: int, threads: int | None, progress: Progress) -> Solution:
+    start = perf_counter()
+    with reporter(progress, "links") as report:
+        result = _core.solve_hierarchical(
+            scene._core,
+            float(tolerance),
+            whole_number("seed", seed, 0, 2**64 - 1),
+            available_bytes(),
+            thread_count(threads),
+            report,
+        )
+    history = tuple(Step(float(r), u) for r, u in zip(result["residuals"], result["unshot"], strict=True))
+    done = Report(
+        method="hierarchical",
+        patches=scene.n_patches,
+        bands=scene.bands,
+        steps=len(history),
+        residual=history[-1].residual if history else 0.0,
+        audit=EnergyAudit(*result["audit"]),
+        seconds={"solve": perf_counter() - start},
+        segments=result["segments"],
+        elements=result["leaves"],
+        links=result["links"],
+        stopped=result["stopped"],
+        out_of_memory=result["out_of_memory"],
+    )
+    parent = result["parents"]
+    names = None if scene.names is None else tuple(scene.names[p] for p in parent.tolist())
+    fine = Scene(result["vertices"], result["faces"], scene.reflectance[parent], scene.emission[parent], names=names)
+    fine.parent = read_only(parent)
+    coarse = _on_links(scene, result["irradiance"], result["error_estimate"], history, done)
+    return dataclasses.replace(
+        coarse, elements=_on_links(fine, result["on_faces"], coarse.error_estimate, history, done)
+    )
+
+
+def _on_links(
+    scene: Scene, irradiance: FloatArray, error_estimate: float, history: tuple[Step, ...], report: Report
+) -> Solution:
+    return Solution(
+        radiosity=read_only(scene.emission + scene.reflectance * irradiance),
+        irradiance=read_only(irradiance),
+        standard_error=None,
+        error_estimate=error_estimate,
+        history=history,
+        report=report,
         scene=scene,
     )
 

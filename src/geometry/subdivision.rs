@@ -107,7 +107,7 @@ fn halve_long_edges(mesh: Subdivision, max_edge: f64) -> Result<Subdivision> {
 }
 
 /// The pieces of one face; `middle[k]` is the midpoint of the edge from corner k to corner k + 1, if it is halved.
-fn split(face: [u32; 3], middle: [Option<u32>; 3], vertices: &[Vec3], out: &mut Vec<[u32; 3]>) {
+pub(crate) fn split(face: [u32; 3], middle: [Option<u32>; 3], vertices: &[Vec3], out: &mut Vec<[u32; 3]>) {
     let length = |a: u32, b: u32| vertices[a as usize].distance(vertices[b as usize]);
     match middle {
         [None, None, None] => out.push(face),

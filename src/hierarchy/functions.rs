@@ -7,7 +7,7 @@
 //!
 //! with psi_k made from the covariance C of the places by Cholesky's factorisation with pivoting: z - mean = L psi, C = L L^T.
 //! What does not vary takes no function: one patch has K = 1, what is flat K = 3, a part of a sphere, on which n says no more
-//! than x, K = 4, a heap of triangles K = 7. After linear wavelets on flat elements (Gortler, Schroeder, Cohen & Hanrahan 1993)
+//! than x, K = 4; of a heap of triangles the three that vary most are kept. After linear wavelets on flat elements (Gortler, Schroeder, Cohen & Hanrahan 1993)
 //! and vector irradiance on clusters (Willmott, Heckbert & Garland 1999).
 
 use crate::geometry::{Triangle, Vec3};
@@ -15,8 +15,8 @@ use crate::geometry::{Triangle, Vec3};
 /// A position and the normal there.
 pub type Place = [f64; 6];
 
-/// Most functions of a node.
-pub const MOST: usize = 7;
+/// Most functions of a node: with more, values at [`super::tree::SAMPLES`] places would be fitted whatever they are.
+pub const MOST: usize = 4;
 
 /// Variances below this, of positions in units of the squared radius and of unit normals, are none.
 const NO_VARIANCE: f64 = 1e-5;

@@ -52,7 +52,8 @@ impl Surroundings {
     /// Of a scene, closed or not.
     pub fn new(scene: &Scene, is_closed: bool, smallest: f64) -> Surroundings {
         let (bands, rho) = (scene.bands(), scene.reflectance());
-        let is_black: Vec<bool> = (0..bands).map(|b| rho.iter().skip(b).step_by(bands).all(|rho| *rho == 0.0)).collect();
+        let is_black: Vec<bool> =
+            (0..bands).map(|b| rho.iter().skip(b).step_by(bands).all(|rho| *rho == 0.0)).collect();
         let weights = rho.iter().enumerate().map(|(k, rho)| if is_black[k % bands] { 1.0 } else { *rho }).collect();
         Surroundings { weights, is_closed, smallest }
     }
@@ -81,7 +82,13 @@ impl Light {
     }
 
     /// For links with a solution on them: B and H of every row.
-    pub fn of_solution(links: &Links, bands: usize, radiosity: &[f64], irradiance: &[f64], surroundings: Surroundings) -> Light {
+    pub fn of_solution(
+        links: &Links,
+        bands: usize,
+        radiosity: &[f64],
+        irradiance: &[f64],
+        surroundings: Surroundings,
+    ) -> Light {
         let mut squares = vec![0.0; bands];
         for (r, &(leaf, _)) in links.rows().iter().enumerate() {
             let node = &links.tree.nodes[leaf as usize];
@@ -138,6 +145,17 @@ impl Light {
         }
     }
 
+    /// For a tree that has grown: new elements are as what they are part of was.
+    pub fn follow(&mut self, tree: &Tree) {
+        for node in &tree.nodes[self.areas.len()..] {
+            self.areas.push(node.area);
+            let parent = node.parent as usize * self.bands;
+            for values in [&mut self.means, &mut self.squares, &mut self.reflectances] {
+                values.extend_from_within(parent..parent + self.bands);
+            }
+        }
+    }
+
     /// The same with a limit on the error of a link.
     pub fn with_limit(self, limit: f64) -> Light {
         Light { limit, ..self }
@@ -153,7 +171,8 @@ impl Light {
                 to_p = (to_p + to_q - 2.0 * self.means[p + b] * self.means[q + b]).max(0.0);
                 to_q = to_p;
             }
-            self.reflectances[p + b] * to_p / self.areas[p / bands] + self.reflectances[q + b] * to_q / self.areas[q / bands]
+            self.reflectances[p + b] * to_p / self.areas[p / bands]
+                + self.reflectances[q + b] * to_q / self.areas[q / bands]
         };
         error * error * (0..bands).map(of_band).fold(0.0, f64::max)
     }
@@ -178,13 +197,7 @@ impl Goal for Light {
         MOST_SEGMENTS
     }
 
-    fn divided(&mut self, tree: &Tree, number: usize) {
-        let bands = self.bands;
-        for child in tree.nodes[number].children.clone() {
-            self.areas.push(tree.nodes[child as usize].area);
-            for values in [&mut self.means, &mut self.squares, &mut self.reflectances] {
-                values.extend_from_within(number * bands..(number + 1) * bands);
-            }
-        }
+    fn grown(&mut self, tree: &Tree) {
+        self.follow(tree);
     }
 }

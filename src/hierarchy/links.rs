@@ -12,6 +12,7 @@ use super::push_pull::{Layout, multiply};
 use super::refine::Found;
 use super::tree::Tree;
 use crate::assembly::{FormFactors, Order};
+use crate::geometry::sampling::hash;
 
 /// The place of the matrix of a link that carries nothing.
 pub const NO_MATRIX: usize = usize::MAX;
@@ -84,6 +85,11 @@ impl Links {
         };
         let areas = rows.iter().map(|row| tree.nodes[row.0 as usize].area).collect();
         Links { layout: Layout::new(&tree), tree, found, start, ends, rows, areas }
+    }
+
+    /// Nothing, to hold a place.
+    pub(super) fn empty() -> Links {
+        Links::new(Tree::empty(), Found::default())
     }
 
     /// The tree and the links apart, for more refinement.
@@ -183,17 +189,31 @@ impl Links {
         errors
     }
 
-    /// How many links end at each level of the tree, the root's first: with full, no, and partial visibility. Every link has two
-    /// ends.
-    pub fn levels(&self) -> Vec<[u64; 3]> {
-        let deepest = self.tree.nodes.iter().map(|node| node.level).max().unwrap_or(0);
-        let mut counts = vec![[0; 3]; deepest as usize + 1];
-        for link in &self.found.links {
-            for node in [link.p, link.q] {
-                counts[self.tree.nodes[node as usize].level as usize][link.exchange.visibility as usize] += 1;
+    /// For every row of leaves the sum over its links, and those of all above it, of what `part` makes of link k and of the error that
+    /// it may put in from a vector x.
+    fn errors(&self, x: &[f64], bands: usize, part: impl Fn(usize, f64) -> f64) -> Vec<f64> {
+        let moments = self.pulled(x, bands);
+        let mut errors = vec![0.0; self.tree.nodes.len() * bands];
+        for (k, link) in self.found.links.iter().enumerate() {
+            let (p, q) = (link.p as usize, link.q as usize);
+            let of_kernel = link.exchange.error() / (self.tree.nodes[p].area * self.tree.nodes[q].area);
+            for (to, from) in [(p, q), (q, p)] {
+                for b in 0..bands {
+                    // The first moment is the power.
+                    let power = moments[self.layout.of(from, bands).start + b];
+                    errors[to * bands + b] += part(k, of_kernel * power);
+                }
             }
         }
-        counts
+        for number in 1..self.tree.nodes.len() {
+            let parent = self.tree.nodes[number].parent as usize;
+            (0..bands).for_each(|b| errors[number * bands + b] += errors[parent * bands + b]);
+        }
+        let of_row = |&(leaf, function): &(u32, u32)| {
+            let factor = f64::from(u8::from(function == 0));
+            errors[leaf as usize * bands..][..bands].iter().map(move |e| factor * e).collect::<Vec<f64>>()
+        };
+        self.rows.iter().flat_map(of_row).collect()
     }
 }
 
@@ -251,6 +271,19 @@ impl FormFactors for Links {
             let at = self.place(r, bands);
             out.copy_from_slice(&arriving[at..at + bands]);
         }
+    }
+
+    fn standard_error(&self, x: &[f64], bands: usize) -> Option<Vec<f64>> {
+        // In units of the largest, squares neither overflow nor vanish.
+        let peak = x.iter().fold(f64::MIN_POSITIVE, |peak, x| x.abs().max(peak));
+        let of_unit: Vec<f64> = x.iter().map(|x| x / peak).collect();
+        let variances = self.errors(&of_unit, bands, |_, error| error * error);
+        Some(variances.into_iter().map(|v| peak * v.sqrt()).collect())
+    }
+
+    fn sampling_error(&self, x: &[f64], bands: usize, draw: u64) -> Option<Vec<f64>> {
+        // A random sign has the variance 1, which is all that a sum of many needs.
+        Some(self.errors(x, bands, |k, error| if hash(draw ^ hash(k as u64)) & 1 == 0 { error } else { -error }))
     }
 
     fn row(&self, i: usize, out: &mut [f64]) {

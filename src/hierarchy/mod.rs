@@ -1,15 +1,29 @@
-//! Hierarchical radiosity.
+//! Hierarchical radiosity: form factors as links between elements of all sizes, and scenes solved on them.
+//!
+//! What is far away, or dim, need not be looked at patch by patch. Patches are gathered to clusters and cut into elements, and
+//! two nodes of that tree are linked where a single link between them is good enough (Hanrahan, Salzman & Aupperle, "A
+//! Rapid Hierarchical Radiosity Algorithm", SIGGRAPH 1991; clusters: Smits, Arvo & Greenberg 1994).
+//!
+//! - [`tree`]: clusters, patches, elements; [`functions`]: what radiosity is on a node, linear in position and normal
+//! - [`oracle`]: what two nodes exchange, how much of it is hidden, how far a link would be wrong
+//! - [`refine`]: from the root down to links that a goal allows
+//! - [`links`]: the links as an operator; [`push_pull`]: up and down the tree
+//! - [`operator`]: the goal of form factors, a row tolerance
+//! - [`light`]: the goal of a solve, brightness x form factor x area; [`closed`]: scenes that lose no light
+//! - [`solver`]: refine, solve, refine again; [`mesh`]: the leaves, to be shown
+
 pub mod closed;
 pub mod functions;
-pub mod links;
-pub mod oracle;
 pub mod light;
-mod operator;
-pub mod solver;
+pub mod links;
+pub mod mesh;
+pub mod operator;
+pub mod oracle;
 pub mod push_pull;
 pub mod refine;
+pub mod solver;
 pub mod tree;
 
 pub use links::Links;
-pub use solver::Solver;
 pub use operator::{HierarchicalOptions, Reached, form_factors};
+pub use solver::Solver;

@@ -66,7 +66,7 @@ impl Goal for Rows<'_> {
         0
     }
 
-    fn divided(&mut self, _: &Tree, _: usize) {}
+    fn grown(&mut self, _: &Tree) {}
 }
 
 /// Computes the links of a scene.
@@ -91,7 +91,8 @@ pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Pro
         let errors = links.row_errors();
         round += 1;
         // Nodes that have a row under them which is too far off.
-        let mut too_far: Vec<bool> = links.tree.nodes.iter().enumerate().map(|(k, node)| node.is_leaf() && errors[k] > budget).collect();
+        let mut too_far: Vec<bool> =
+            links.tree.nodes.iter().enumerate().map(|(k, node)| node.is_leaf() && errors[k] > budget).collect();
         for k in (1..too_far.len()).rev() {
             let parent = links.tree.nodes[k].parent as usize;
             too_far[parent] |= too_far[k];
@@ -107,7 +108,8 @@ pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Pro
         found = Some(refined);
     };
     let above = worst_leaf(&links, &errors);
-    let (segments, hidden) = settle(scene, &blockers, &mut links, options, options.tolerance - above - accuracy.tolerance(), progress)?;
+    let (segments, hidden) =
+        settle(scene, &blockers, &mut links, options, options.tolerance - above - accuracy.tolerance(), progress)?;
     let reached = Reached {
         error_estimate: accuracy.tolerance() + above + hidden,
         segments: done.segments + segments,

@@ -1,8 +1,8 @@
 //! Push and pull: what the nodes of the tree know of each other.
 //!
 //! Pull: the moments  M_k = integral of B psi_k dA  of a node are those of its parts, in its own functions. Push: what arrives at a
-//! node arrives at its parts. Either is exact, since what is linear on a node is linear on its parts: power and area are
-//! the same on every level.
+//! node arrives at its parts. Power and area are the same on every level; what is linear on a node is linear on its parts, and lost
+//! only as far as a part has no function for it.
 
 use std::ops::Range;
 
@@ -68,7 +68,15 @@ impl Layout {
         let (before, own) = moments.split_at_mut(self.start[number] * bands);
         let above = &mut before[self.of(parent, bands)];
         let own = &own[..self.functions(number) * bands];
-        multiply(&self.push[self.push_start[number]..], own.len() / bands, above.len() / bands, true, own, bands, above);
+        multiply(
+            &self.push[self.push_start[number]..],
+            own.len() / bands,
+            above.len() / bands,
+            true,
+            own,
+            bands,
+            above,
+        );
     }
 
     /// Adds what arrives at all nodes to what arrives at their parts.
@@ -82,7 +90,15 @@ impl Layout {
 
     /// Adds to `own` what the numbers `above` of the parent are on a node.
     pub fn push_one(&self, number: usize, bands: usize, above: &[f64], own: &mut [f64]) {
-        multiply(&self.push[self.push_start[number]..], own.len() / bands, above.len() / bands, false, above, bands, own);
+        multiply(
+            &self.push[self.push_start[number]..],
+            own.len() / bands,
+            above.len() / bands,
+            false,
+            above,
+            bands,
+            own,
+        );
     }
 
     /// A node and all that it is a part of, from itself up.
@@ -127,7 +143,14 @@ pub fn multiply(
 }
 
 #[inline(always)]
-fn multiply_by<const B: usize>(matrix: &[f64], rows: usize, columns: usize, transposed: bool, x: &[f64], out: &mut [f64]) {
+fn multiply_by<const B: usize>(
+    matrix: &[f64],
+    rows: usize,
+    columns: usize,
+    transposed: bool,
+    x: &[f64],
+    out: &mut [f64],
+) {
     let (x, _) = x.as_chunks::<B>();
     let (out, _) = out.as_chunks_mut::<B>();
     for (k, numbers) in matrix[..rows * columns].chunks_exact(columns).enumerate() {

@@ -26,8 +26,8 @@ pub trait Goal: Sync {
     /// Segments that a link between nodes that cannot be parted may take; 0 where its visibility is settled elsewhere.
     fn most_segments(&self) -> u32;
 
-    /// A node was cut: its parts are as it was.
-    fn divided(&mut self, tree: &Tree, number: usize);
+    /// Leaves were cut.
+    fn grown(&mut self, tree: &Tree);
 }
 
 /// Pairs that one task looks at.
@@ -168,10 +168,8 @@ impl Refinement<'_> {
             }
             divide.sort_unstable();
             divide.dedup();
-            for leaf in divide {
-                tree.divide(leaf as usize);
-                goal.divided(tree, leaf as usize);
-            }
+            divide.into_iter().for_each(|leaf| tree.divide(leaf as usize));
+            goal.grown(tree);
             frontier.extend(waiting);
         }
         Ok(kept)

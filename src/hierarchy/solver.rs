@@ -4,8 +4,10 @@
 //! until all links together put in no more than is asked for.
 
 use super::closed::{Closed, is_closed};
+use super::functions::place;
 use super::light::{Light, Surroundings};
 use super::links::Links;
+use super::mesh::LeafMesh;
 use super::refine::{Done, Found, Refinement};
 use super::tree::Tree;
 use crate::assembly::{Blockers, FormFactors, Order};
@@ -13,7 +15,7 @@ use crate::error::{Error, Result};
 use crate::form_factor::Accuracy;
 use crate::progress::Progress;
 use crate::scene::Scene;
-use crate::solve::{Step, System, propagated};
+use crate::solve::{Audit, Step, System, propagated, without_loss};
 
 /// No leaf smaller than this part of the scene is cut.
 const SMALLEST: f64 = 1e-3;
@@ -24,8 +26,8 @@ const FIRST: f64 = 3e-3;
 /// A round makes it less by a factor between these.
 const LEAST: f64 = 0.1;
 const MOST: f64 = 0.7;
-/// Links are expected to become as many more as their errors become smaller, to this power; and errors add up in squares.
-const GROWTH: f64 = 1.0;
+/// No link is asked for less.
+const TIGHTEST: f64 = 1e-9;
 /// The part of the errors that has one sign everywhere: that grows from bounce to bounce like the light itself, where a closed
 /// scene's does not (measured in white open rooms: light that falls on what is hidden under other things is lost).
 const ONE_SIGN: f64 = 0.25;
@@ -35,7 +37,7 @@ const RESIDUAL: f64 = 1e-4;
 /// A scene with its elements, links, and the light on them.
 pub struct Solver<'a> {
     refinement: Refinement<'a>,
-    links: Option<Links>,
+    links: Links,
     light: Light,
     limit: f64,
     surroundings: Surroundings,
@@ -57,14 +59,28 @@ impl<'a> Solver<'a> {
     /// For a scene with what blocks in it; `memory` bytes for elements and links.
     ///
     /// # Errors
-    /// [`Error::Invalid`] never, as long as the scene is valid.
+    /// [`Error::Invalid`] for a scene without a finite solution, [`Error::Memory`] when not even the patches fit.
     pub fn new(scene: &'a Scene, blockers: &'a Blockers, seed: u64, memory: u64) -> Result<Solver<'a>> {
+        let is_closed = is_closed(scene, seed);
+        let bands = scene.bands();
+        let is_white = |b: usize| scene.reflectance().iter().skip(b).step_by(bands).all(|rho| *rho == 1.0);
+        if let Some(band) = (0..bands).find(|b| is_closed && is_white(*b)) {
+            return Err(without_loss(band));
+        }
         let tree = Tree::new(scene, &blockers.bodies, Order::Linear);
+        if tree.nbytes() as u64 > memory {
+            return Err(Error::Memory {
+                what: format!("the tree over {} patches", scene.len()),
+                needed: tree.nbytes() as u64,
+                available: memory,
+                remedy: "use fewer patches (a larger max_edge)".to_string(),
+            });
+        }
         let smallest = SMALLEST * tree.nodes[0].radius;
-        let surroundings = Surroundings::new(scene, is_closed(scene, seed), smallest);
+        let surroundings = Surroundings::new(scene, is_closed, smallest);
         let light = Light::of_emission(scene, &tree, surroundings.clone());
         let refinement = Refinement { scene, blockers, accuracy: Accuracy::new(KERNEL)?, seed, memory };
-        let links = Some(Links::new(tree, Found::default()));
+        let links = Links::new(tree, Found::default());
         Ok(Solver {
             refinement,
             links,
@@ -81,8 +97,8 @@ impl<'a> Solver<'a> {
     }
 
     /// The elements and links.
-    pub fn links(&self) -> Option<&Links> {
-        self.links.as_ref()
+    pub fn links(&self) -> &Links {
+        &self.links
     }
 
     /// Refines until the links say that they are wrong by no more than `target`, or can be refined no more.
@@ -92,38 +108,48 @@ impl<'a> Solver<'a> {
     pub fn refine_to(&mut self, target: f64, progress: &Progress) -> Result<()> {
         while self.link_error > target && !self.done.out_of_memory {
             if self.link_error.is_finite() {
-                // The square of the error is the number of links times that of one.
-                let wanted = (0.9 * target / self.link_error).powf(1.0 / (1.0 - 0.5 * GROWTH));
-                self.limit *= wanted.clamp(LEAST, MOST);
+                // Errors add up in squares, and as their limit falls, links become as many more.
+                self.limit *= (0.9 * target / self.link_error).powi(2).clamp(LEAST, MOST);
             }
             let before = self.done.pairs;
-            self.round(progress)?;
-            if self.done.pairs == before {
+            if !self.round(progress)? {
+                // So coarse that rows of F sum to more than 1 and light would grow without end: finer links know better.
+                self.limit *= LEAST;
+                if self.limit < TIGHTEST {
+                    return Err(Error::Invalid(
+                        "light grows from bounce to bounce: the patches reflect all of it, or nearly".to_string(),
+                    ));
+                }
+            } else if self.done.pairs == before {
                 break;
             }
         }
         Ok(())
     }
 
-    fn round(&mut self, progress: &Progress) -> Result<()> {
-        let Some(links) = self.links.take() else { return Err(Error::Interrupted) };
-        let (mut tree, found) = links.into_parts();
+    /// Refines and solves once; false when the links have no finite solution.
+    fn round(&mut self, progress: &Progress) -> Result<bool> {
+        let (mut tree, found) = std::mem::replace(&mut self.links, Links::empty()).into_parts();
         let found = (!found.links.is_empty()).then_some(found);
         self.done.stopped = 0;
         let mut goal = self.light.clone().with_limit(self.limit);
         let found = self.refinement.refine(&mut tree, found, &mut goal, &mut self.done, progress)?;
-        let links = Links::new(tree, found);
-        self.solve(&links, progress)?;
-        let bands = self.refinement.scene.bands();
-        let surroundings = self.surroundings.clone();
-        self.light = Light::of_solution(&links, bands, &self.radiosity, &self.irradiance, surroundings);
-        self.link_error = self.light.error(&links.found.links) * (ONE_SIGN * self.amplification).hypot(1.0);
-        self.links = Some(links);
-        Ok(())
+        self.links = Links::new(tree, found);
+        let solved = self.solve(progress)?;
+        if solved {
+            let bands = self.refinement.scene.bands();
+            let surroundings = self.surroundings.clone();
+            self.light = Light::of_solution(&self.links, bands, &self.radiosity, &self.irradiance, surroundings);
+            let grown = (ONE_SIGN * self.amplification).hypot(1.0);
+            self.link_error = self.light.error(&self.links.found.links) * grown;
+        } else {
+            self.light.follow(&self.links.tree);
+        }
+        Ok(solved)
     }
 
-    fn solve(&mut self, links: &Links, progress: &Progress) -> Result<()> {
-        let scene = self.refinement.scene;
+    fn solve(&mut self, progress: &Progress) -> Result<bool> {
+        let (links, scene) = (&self.links, self.refinement.scene);
         let bands = scene.bands();
         let (mut emission, mut reflectance) = (Vec::new(), Vec::new());
         for &(leaf, function) in links.rows() {
@@ -141,9 +167,7 @@ impl<'a> Solver<'a> {
             progress.advance(0)
         };
         let arriving = propagated(&system, std::slice::from_ref(&emission), RESIDUAL, &mut observe)?;
-        let Some(mut arriving) = arriving else {
-            return Err(Error::Invalid("the light never dies: every patch reflects all of it, or nearly".to_string()));
-        };
+        let Some(mut arriving) = arriving else { return Ok(false) };
         self.irradiance = arriving.remove(0);
         let reflected = self.irradiance.iter().zip(&reflectance).map(|(h, rho)| rho * h);
         self.radiosity = emission.iter().zip(reflected).map(|(e, r)| e + r).collect();
@@ -154,7 +178,11 @@ impl<'a> Solver<'a> {
             let amplification = |b: usize| {
                 let rows = || links.rows().iter().enumerate().filter(|(_, row)| row.1 == 0).map(|(r, _)| r);
                 let power = |h: &[f64]| -> f64 {
-                    let of_row = |r: usize| links.tree.nodes[links.rows()[r].0 as usize].area * reflectance[r * bands + b] * h[r * bands + b];
+                    let of_row = |r: usize| {
+                        links.tree.nodes[links.rows()[r].0 as usize].area
+                            * reflectance[r * bands + b]
+                            * h[r * bands + b]
+                    };
                     rows().map(of_row).sum()
                 };
                 let first = power(&first);
@@ -162,12 +190,12 @@ impl<'a> Solver<'a> {
             };
             self.amplification = (0..bands).map(amplification).fold(1.0, f64::max);
         }
-        Ok(())
+        Ok(true)
     }
 
     /// The mean irradiance of every patch, n x b.
     pub fn patch_irradiance(&self) -> Vec<f64> {
-        let Some(links) = &self.links else { return Vec::new() };
+        let links = &self.links;
         let bands = self.refinement.scene.bands();
         let moments = links.pulled(&self.irradiance, bands);
         let of_patch = |&node: &u32| {
@@ -178,8 +206,52 @@ impl<'a> Solver<'a> {
         links.tree.node_of.iter().flat_map(of_patch).collect()
     }
 
+    /// The leaves as a mesh without T-junctions, and the mean irradiance of every face of it.
+    pub fn mesh(&self) -> (LeafMesh, Vec<f64>) {
+        let (tree, bands) = (&self.links.tree, self.refinement.scene.bands());
+        let mesh = LeafMesh::new(tree);
+        let mut first = vec![0; tree.nodes.len()];
+        self.links.rows().iter().enumerate().for_each(|(r, row)| first[row.0 as usize] = r - row.1 as usize);
+        let mut irradiance = vec![0.0; mesh.faces.len() * bands];
+        for ((face, &leaf), out) in mesh.faces.iter().zip(&mesh.leaves).zip(irradiance.chunks_exact_mut(bands)) {
+            let node = &tree.nodes[leaf as usize];
+            // The mean of what is linear is its value at the centroid.
+            let [a, b, c] = face.map(|v| tree.vertices[v as usize]);
+            let values = node.functions.at(&place((a + b + c) / 3.0, node.normal()));
+            for (k, value) in values[..node.functions.len()].iter().enumerate() {
+                let row = &self.irradiance[(first[leaf as usize] + k) * bands..][..bands];
+                out.iter_mut().zip(row).for_each(|(out, h)| *out += value * h);
+            }
+        }
+        (mesh, irradiance)
+    }
+
+    /// Where the power goes.
+    pub fn audit(&self) -> Audit {
+        let (scene, links) = (self.refinement.scene, &self.links);
+        let bands = scene.bands();
+        let missing = if self.surroundings.is_closed { vec![0.0; links.rows().len()] } else { links.missing() };
+        let mut audit = [(); 4].map(|()| vec![0.0; bands]);
+        for (r, &(leaf, function)) in links.rows().iter().enumerate() {
+            let node = &links.tree.nodes[leaf as usize];
+            for b in 0..bands {
+                let k = node.patch as usize * bands + b;
+                let (radiosity, irradiance) = (self.radiosity[r * bands + b], self.irradiance[r * bands + b]);
+                // Orthonormal functions: the integral of a product is that of its coefficients.
+                audit[2][b] += node.area * radiosity * missing[r];
+                if function == 0 {
+                    audit[0][b] += node.area * scene.emission()[k];
+                    audit[1][b] += node.area * (1.0 - scene.reflectance()[k]) * irradiance;
+                }
+            }
+        }
+        (0..bands).for_each(|b| audit[3][b] = audit[0][b] - audit[1][b] - audit[2][b]);
+        let [emitted, absorbed, left, unshot] = audit;
+        Audit { emitted, absorbed, left, unshot }
+    }
+
     /// How many leaves there are.
     pub fn leaves(&self) -> usize {
-        self.links.as_ref().map_or(0, |links| links.tree.nodes.iter().filter(|node| node.is_leaf()).count())
+        self.links.tree.nodes.iter().filter(|node| node.is_leaf()).count()
     }
 }

@@ -41,7 +41,7 @@ pub struct Node {
     /// Corners of an element.
     face: [u32; 3],
     /// Its patches, in the order of the tree.
-    patches: Range<u32>,
+    pub patches: Range<u32>,
     /// Area, m^2.
     pub area: f64,
     /// Mean position.
@@ -72,6 +72,11 @@ pub struct Node {
 }
 
 impl Node {
+    /// Unit normal of an element, mean direction of a cluster.
+    pub fn normal(&self) -> Vec3 {
+        self.axis
+    }
+
     /// Whether it is part of a patch, or all of it.
     pub fn is_element(&self) -> bool {
         self.patch != NO_PATCH
@@ -121,8 +126,9 @@ pub struct Tree {
     /// Parents before children; the root first.
     pub nodes: Vec<Node>,
     order: Order,
-    /// The patches so that those of every cluster are together, and the area up to each.
-    sorted: Vec<u32>,
+    /// The patches so that those of every cluster are together.
+    pub sorted: Vec<u32>,
+    /// The area up to each of them.
     areas: Vec<f64>,
     /// The node of every patch.
     pub node_of: Vec<u32>,
@@ -144,6 +150,8 @@ impl Tree {
     pub fn new(scene: &Scene, bodies: &Bodies, order: Order) -> Tree {
         let mut sorted: Vec<u32> = (0..scene.len() as u32).collect();
         let drafts = drafts(scene, &mut sorted);
+        // What meets at one position is to be cut as one.
+        let first = scene.first_vertices();
         let mut areas = vec![0.0];
         areas.extend(sorted.iter().scan(0.0, |sum, &i| {
             *sum += scene.areas()[i as usize];
@@ -166,7 +174,7 @@ impl Tree {
             if draft.children.is_empty() {
                 let patch = tree.sorted[draft.patches.start];
                 tree.node_of[patch as usize] = number as u32;
-                let face = scene.faces()[patch as usize];
+                let face = scene.faces()[patch as usize].map(|v| first[v as usize]);
                 let normal = scene.normals()[patch as usize];
                 (node, own) = tree.element(face, normal, patch, bodies.body_of(patch));
             } else {
@@ -187,6 +195,13 @@ impl Tree {
             }
         }
         tree
+    }
+
+    /// Without nodes, to hold a place.
+    pub(super) fn empty() -> Tree {
+        let (sorted, areas, node_of) = (Vec::new(), Vec::new(), Vec::new());
+        let (vertices, midpoints) = (Vec::new(), HashMap::new());
+        Tree { nodes: Vec::new(), order: Order::Linear, sorted, areas, node_of, vertices, midpoints }
     }
 
     /// A part of a patch, and its moments.
@@ -471,7 +486,8 @@ struct Regions {
 }
 
 fn regions(scene: &Scene) -> Regions {
-    let (low, high) = crate::visibility::body::extremes(scene.faces().iter().flatten().map(|&v| scene.vertices()[v as usize]));
+    let (low, high) =
+        crate::visibility::body::extremes(scene.faces().iter().flatten().map(|&v| scene.vertices()[v as usize]));
     let (middle, size) = (0.5 * (low + high), (high - low).max_element().max(f64::MIN_POSITIVE));
     // Rounded: two that fall on either side of a step become two regions, which only costs a few links.
     let key = |i: usize| {
@@ -501,7 +517,11 @@ fn part(scene: &Scene, regions: &Regions, patches: &mut [u32]) -> usize {
     let is_flat = patches.iter().all(|&i| regions.of[i as usize] == first);
     let place_of = |i: u32| {
         let i = i as usize;
-        if is_flat { place(centre(&scene.triangle(i)), scene.normals()[i]) } else { regions.places[regions.of[i] as usize] }
+        if is_flat {
+            place(centre(&scene.triangle(i)), scene.normals()[i])
+        } else {
+            regions.places[regions.of[i] as usize]
+        }
     };
     let (mut low, mut high) = ([f64::INFINITY; 6], [f64::NEG_INFINITY; 6]);
     let (mut area, mut sum, mut squares) = (0.0, [0.0; 6], [0.0; 6]);
@@ -543,5 +563,8 @@ fn part(scene: &Scene, regions: &Regions, patches: &mut [u32]) -> usize {
     }
     // Not through a region.
     let region = |k: usize| regions.of[patches[k] as usize];
-    (half..patches.len()).find(|&k| region(k) != region(k - 1)).or((1..half).rfind(|&k| region(k) != region(k - 1))).unwrap_or(half)
+    (half..patches.len())
+        .find(|&k| region(k) != region(k - 1))
+        .or((1..half).rfind(|&k| region(k) != region(k - 1)))
+        .unwrap_or(half)
 }

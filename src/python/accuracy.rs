@@ -103,32 +103,3 @@ pub(super) fn assess(
         run(py, threads, progress.as_ref(), move |progress| accuracy::assess(&scene, &irradiance, &options, progress))?;
     Ok((assessment.error, assessment.rays))
 }
-
-/// TEMP
-#[pyfunction]
-#[pyo3(signature = (scene, target, seed, memory))]
-pub(super) fn try_hierarchical<'py>(py: Python<'py>, scene: &Scene, target: f64, seed: u64, memory: u64) -> PyResult<Bound<'py, PyDict>> {
-    let scene = Arc::clone(&scene.scene);
-    let bands = scene.bands();
-    let (h, leaves, links, err, pairs, segments, stopped, nbytes, secs) = run(py, None, None, move |progress| {
-        let start = std::time::Instant::now();
-        let blockers = crate::assembly::Blockers::of_scene(&scene);
-        let mut solver = crate::hierarchy::Solver::new(&scene, &blockers, seed, memory)?;
-        let first = start.elapsed().as_secs_f64();
-        solver.refine_to(target, progress)?;
-        let links = solver.links().unwrap();
-        use crate::assembly::FormFactors;
-        Ok((solver.patch_irradiance(), solver.leaves(), links.found.links.len(), solver.link_error, solver.done.pairs, solver.done.segments, solver.done.stopped, links.nbytes(), [first, start.elapsed().as_secs_f64()]))
-    })?;
-    let dict = PyDict::new(py);
-    dict.set_item("irradiance", table(py, h, bands)?)?;
-    dict.set_item("leaves", leaves)?;
-    dict.set_item("links", links)?;
-    dict.set_item("err", err)?;
-    dict.set_item("pairs", pairs)?;
-    dict.set_item("segments", segments)?;
-    dict.set_item("stopped", stopped)?;
-    dict.set_item("nbytes", nbytes)?;
-    dict.set_item("secs", secs.to_vec())?;
-    Ok(dict)
-}

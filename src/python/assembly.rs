@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 
@@ -12,28 +12,33 @@ use super::run::{in_pool, run};
 use super::scene::Scene;
 use crate::assembly::matrix::{DenseMatrix, SparseMatrix};
 use crate::assembly::{Dense, DenseOptions, Estimator, FormFactors as Operator, Sampled, SampledOptions, balance};
-use crate::hierarchy::{self, HierarchicalOptions, Reached};
+use crate::hierarchy::{self, HierarchicalOptions, Links, Reached};
 use crate::progress::Progress;
+
+/// Links, a row each, and the patches in the order of the tree.
+type Blocks<'py> = (Bound<'py, PyArray2<i64>>, Bound<'py, PyArray1<i64>>);
 
 #[pyclass(frozen, module = "radiosity._core")]
 pub(super) struct FormFactors {
     pub(super) operator: Arc<dyn Operator>,
     /// The same once more where it is dense: what can be balanced.
     dense: Option<Arc<Dense>>,
+    /// The same once more where it is made of links.
+    links: Option<Arc<Links>>,
     error_estimate: f64,
     segments: u64,
 }
 
 impl FormFactors {
     fn brought(operator: impl Operator + 'static) -> FormFactors {
-        FormFactors { operator: Arc::new(operator), dense: None, error_estimate: 0.0, segments: 0 }
+        FormFactors { operator: Arc::new(operator), dense: None, links: None, error_estimate: 0.0, segments: 0 }
     }
 
     fn of_dense(dense: Dense) -> FormFactors {
         let (error_estimate, segments) = (dense.error_estimate(), dense.segments());
         let dense = Arc::new(dense);
         let operator: Arc<dyn Operator> = dense.clone();
-        FormFactors { operator, dense: Some(dense), error_estimate, segments }
+        FormFactors { operator, dense: Some(dense), links: None, error_estimate, segments }
     }
 }
 
@@ -81,7 +86,7 @@ impl FormFactors {
         let work = move |progress: &Progress| Sampled::new(&scene, estimator, options, progress);
         let sampled = run(py, threads, progress.as_ref(), work)?;
         let (error_estimate, segments) = (sampled.error_estimate(), sampled.rays());
-        Ok(FormFactors { operator: Arc::new(sampled), dense: None, error_estimate, segments })
+        Ok(FormFactors { operator: Arc::new(sampled), dense: None, links: None, error_estimate, segments })
     }
 
     /// The operator of a scene as links between elements of all sizes; with how many pairs were looked at, and whether memory ended
@@ -102,8 +107,25 @@ impl FormFactors {
         let work = move |progress: &Progress| hierarchy::form_factors(&scene, &options, progress);
         let (links, reached) = run(py, threads, progress.as_ref(), work)?;
         let Reached { error_estimate, segments, pairs, out_of_memory } = reached;
-        let factors = FormFactors { operator: Arc::new(links), dense: None, error_estimate, segments };
+        let links = Arc::new(links);
+        let operator: Arc<dyn Operator> = links.clone();
+        let factors = FormFactors { operator, dense: None, links: Some(links), error_estimate, segments };
         Ok((factors, pairs, out_of_memory))
+    }
+
+    /// For every link its two nodes' ranges in the order of the tree, their levels, and its visibility (0 full, 1 none, 2
+    /// partial), (m, 7); and the patches in that order. `None` where there are no links.
+    fn links<'py>(&self, py: Python<'py>) -> PyResult<Option<Blocks<'py>>> {
+        let Some(links) = &self.links else { return Ok(None) };
+        let mut rows = Vec::with_capacity(7 * links.found.links.len());
+        for link in &links.found.links {
+            let [p, q] = [link.p, link.q].map(|k| &links.tree.nodes[k as usize]);
+            rows.extend([p, q].iter().flat_map(|node| [i64::from(node.patches.start), i64::from(node.patches.end)]));
+            rows.extend([i64::from(p.level), i64::from(q.level), link.exchange.visibility as i64]);
+        }
+        let rows = PyArray1::from_vec(py, rows).reshape([links.found.links.len(), 7])?;
+        let order = PyArray1::from_iter(py, links.tree.sorted.iter().map(|&i| i64::from(i)));
+        Ok(Some((rows, order)))
     }
 
     /// The same with row sums of 1, and the largest change of a row.

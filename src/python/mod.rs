@@ -7,6 +7,7 @@ mod assembly;
 mod convert;
 mod error;
 mod form_factor;
+mod hierarchy;
 mod render;
 mod run;
 mod scene;
@@ -17,11 +18,13 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::accuracy::{assess, forecast_scene, solve_scene, try_hierarchical};
+    use super::accuracy::{assess, forecast_scene, solve_scene};
     #[pymodule_export]
     use super::assembly::FormFactors;
     #[pymodule_export]
     use super::form_factor::{form_factor, pair_form_factors};
+    #[pymodule_export]
+    use super::hierarchy::solve_hierarchical;
     #[pymodule_export]
     use super::render::render;
     #[pymodule_export]

@@ -6,6 +6,8 @@
 
 mod validate;
 
+use std::collections::HashMap;
+
 use crate::error::{Error, Result};
 use crate::geometry::polygon::{Plane, area_vector};
 use crate::geometry::subdivision::subdivide;
@@ -133,6 +135,14 @@ impl Scene {
     /// Unit normals, front side.
     pub fn normals(&self) -> &[Vec3] {
         &self.normals
+    }
+
+    /// For every vertex the first that has its position.
+    pub fn first_vertices(&self) -> Vec<u32> {
+        let mut first = HashMap::with_capacity(self.vertices.len());
+        // Adding 0.0 makes -0.0 and 0.0 the same position.
+        let positions = self.vertices.iter().map(|x| x.to_array().map(|x| (x + 0.0).to_bits()));
+        positions.enumerate().map(|(v, position)| *first.entry(position).or_insert(v as u32)).collect()
     }
 
     /// The corners of patch `i`.

@@ -7,7 +7,7 @@
 //! Positions are compared exactly. What is told by measuring is told at [`FLAT`], relative to the size of what is measured, or
 //! at the rounding of the coordinates where that is more.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 
 use super::body::{Body, Edge};
 use super::bvh::{bounds, distinct_triangles};
@@ -88,12 +88,7 @@ impl Mesh<'_> {
             let front = scene.normals()[patches[t as usize] as usize];
             twinned[t as usize] |= scene.normals()[i as usize].dot(front) < 0.0;
         }
-        // Adding 0.0 makes -0.0 and 0.0 the same position.
-        let mut first = HashMap::with_capacity(scene.vertices().len());
-        let positions = scene.vertices().iter().enumerate();
-        let joined: Vec<u32> = positions
-            .map(|(v, x)| *first.entry(x.to_array().map(|x| (x + 0.0).to_bits())).or_insert(v as u32))
-            .collect();
+        let joined = scene.first_vertices();
         let triangles = patches.iter().map(|&i| scene.faces()[i as usize].map(|v| joined[v as usize])).collect();
         let (low, high) = bounds(scene);
         let grain = f64::EPSILON * low.abs().max(high.abs()).max_element();

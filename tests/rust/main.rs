@@ -12,6 +12,7 @@ mod direct;
 mod form_factor;
 mod form_factor_estimators;
 mod geometry;
+mod hierarchy;
 mod rays;
 mod render;
 mod scene;

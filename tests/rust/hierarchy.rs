@@ -1,0 +1,279 @@
+//! Links: what push and pull keep, agreement with all pairs, the errors that they tell, and where refinement ends.
+
+use radiosity::assembly::{Blockers, FormFactors, Order};
+use radiosity::geometry::Vec3;
+use radiosity::hierarchy::functions::place;
+use radiosity::hierarchy::push_pull::Layout;
+use radiosity::hierarchy::tree::Tree;
+use radiosity::hierarchy::{HierarchicalOptions, Links, Reached, Solver, form_factors};
+use radiosity::scene::{Scene, Sides};
+use radiosity::{Error, Progress, Result};
+
+use crate::common::{
+    Mesh, PLENTY, Random, assert_close, box_in_box, cube, dense, icosphere, invalid, on_threads, plate, stack_in_box,
+    table,
+};
+
+fn links(scene: &Scene, tolerance: f64) -> (Links, Reached) {
+    let options = HierarchicalOptions { tolerance, seed: 0, memory: PLENTY };
+    form_factors(scene, &options, &Progress::default()).unwrap()
+}
+
+fn scenes() -> Vec<(&'static str, Scene)> {
+    vec![
+        ("cube", cube(4).scene()),
+        ("sphere", icosphere(2).reversed().scene()),
+        ("box in a box", box_in_box(4).scene()),
+        ("stack", stack_in_box(1).scene()),
+    ]
+}
+
+/// A scene of one band with this reflectance everywhere.
+fn lit(mesh: &Mesh, rho: f64, emission: impl Fn(usize) -> f64) -> Scene {
+    mesh.scene_with(1, Sides::Front, |_, _| rho, |i, _| emission(i))
+}
+
+/// One square of a wall glows.
+fn lamp(i: usize) -> f64 {
+    if i < 2 { 5.0 } else { 0.0 }
+}
+
+/// A tree with some leaves cut, twice.
+fn cut_tree(scene: &Scene) -> Tree {
+    let mut tree = Tree::new(scene, &Blockers::of_scene(scene).bodies, Order::Linear);
+    for patch in [0, scene.len() / 2] {
+        let node = tree.node_of[patch] as usize;
+        tree.divide(node);
+        let child = tree.nodes[node].children.start as usize + 1;
+        tree.divide(child);
+    }
+    tree
+}
+
+#[test]
+fn power_and_linear_functions_are_the_same_on_every_level() {
+    for (_, scene) in scenes() {
+        let tree = cut_tree(&scene);
+        let layout = Layout::new(&tree);
+        let random = Random::new(7);
+        let mut moments = vec![0.0; layout.len()];
+        let mut power = 0.0;
+        for (k, node) in tree.nodes.iter().enumerate().filter(|(_, node)| node.is_leaf()) {
+            for (function, m) in moments[layout.of(k, 1)].iter_mut().enumerate() {
+                *m = node.area * random.uniform();
+                power += if function == 0 { *m } else { 0.0 };
+            }
+        }
+        layout.pull(1, &mut moments);
+        // A sum of a thousand terms, in another order.
+        assert_close(moments[0], power, 1e-12 * power);
+
+        // What is linear on a flat cluster arrives at its leaves as the same function.
+        let Some(top) = tree.nodes.iter().position(|node| node.plane.is_some() && !node.is_element()) else { continue };
+        let mut arriving = vec![0.0; layout.len()];
+        let own = layout.of(top, 1);
+        arriving[own.clone()].iter_mut().for_each(|x| *x = random.between(-1.0, 1.0));
+        let coefficients = arriving[own].to_vec();
+        layout.push(1, &mut arriving);
+        for (k, node) in tree.nodes.iter().enumerate().filter(|(_, node)| node.is_leaf()) {
+            let is_below = layout.up(k).any(|above| above == top);
+            let values = tree.nodes[top].functions.at(&place(node.centre, node.normal()));
+            let sum: f64 = coefficients.iter().zip(values).map(|(a, value)| a * value).sum();
+            let expected = if is_below { sum } else { 0.0 };
+            // Of numbers up to about 2, a few levels down.
+            assert_close(arriving[layout.of(k, 1).start], expected, 1e-12);
+        }
+    }
+}
+
+#[test]
+fn links_between_single_patches_are_the_dense_operator() {
+    // So tight that no cluster is good enough; without blockers, whose shadows would take minutes.
+    let tolerance = 1e-6;
+    for (name, scene) in scenes().into_iter().take(2) {
+        let (exact, (links, _)) = (dense(&scene, tolerance, 0), links(&scene, tolerance));
+        let (mut a, mut b) = (vec![0.0; scene.len()], vec![0.0; scene.len()]);
+        for i in 0..scene.len() {
+            exact.row(i, &mut a);
+            links.row(i, &mut b);
+            let error: f64 = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum();
+            // Each is within the tolerance of the truth.
+            assert!(error <= 2.0 * tolerance, "{name}: row {i} differs by {error}");
+        }
+    }
+}
+
+#[test]
+fn rows_are_within_the_tolerance_and_symmetric() {
+    for (name, scene) in scenes() {
+        // Between the plates of the stack only segments tell: slowly, and with a standard error, of which a row may have two.
+        let (own, errors) = if name == "stack" { (1e-2, 2.0) } else { (1e-3, 1.0) };
+        let exact = dense(&scene, own, 0);
+        for tolerance in [0.3, 0.1, 0.03] {
+            let (links, reached) = links(&scene, tolerance);
+            assert!(reached.error_estimate <= tolerance, "{name}: {} at {tolerance}", reached.error_estimate);
+            let n = scene.len();
+            let rows = table(&links);
+            let mut row = vec![0.0; n];
+            for i in 0..n {
+                exact.row(i, &mut row);
+                let error: f64 = row.iter().zip(&rows[i * n..]).map(|(a, b)| (a - b).abs()).sum();
+                // The reference has an error of its own.
+                assert!(error <= errors * tolerance + own, "{name}: row {i} is off by {error} at {tolerance}");
+                for j in 0..n {
+                    let [there, back] = [scene.areas()[i] * rows[i * n + j], scene.areas()[j] * rows[j * n + i]];
+                    // One number read from two sides, with roundings of the tree on the way.
+                    assert_close(there, back, 1e-13 * scene.areas()[i]);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn gather_shoot_and_rows_are_the_product() {
+    let scene = box_in_box(3).scene();
+    let (links, _) = links(&scene, 0.1);
+    let (n, bands) = (scene.len(), 2);
+    let random = Random::new(3);
+    let x: Vec<f64> = (0..n * bands).map(|_| random.uniform()).collect();
+    let mut product = vec![0.0; n * bands];
+    links.apply(&x, bands, &mut product);
+    let (mut shot, mut one, mut row) = (vec![0.0; n * bands], vec![0.0; bands], vec![0.0; n]);
+    for i in 0..n {
+        links.gather(i, &x, &mut one);
+        links.row(i, &mut row);
+        for b in 0..bands {
+            let by_row: f64 = row.iter().enumerate().map(|(j, f)| f * x[j * bands + b]).sum();
+            // Irradiances are about 1/2; sums of a few hundred terms in other orders.
+            assert_close(one[b], product[i * bands + b], 1e-13);
+            assert_close(by_row, product[i * bands + b], 1e-13);
+        }
+        links.shoot(i, &x[i * bands..][..bands], &mut shot);
+    }
+    for (shot, product) in shot.iter().zip(&product) {
+        assert_close(*shot, *product, 1e-13);
+    }
+}
+
+#[test]
+fn links_are_the_same_bits_for_any_number_of_threads() {
+    let scene = box_in_box(3).scene();
+    let bits = || {
+        let (links, _) = links(&scene, 0.1);
+        let mut out = vec![0.0; scene.len()];
+        links.apply(scene.areas(), 1, &mut out);
+        out.iter().map(|x| x.to_bits()).collect::<Vec<u64>>()
+    };
+    let one = on_threads(1, bits);
+    assert_eq!(one, on_threads(2, bits));
+    assert_eq!(one, on_threads(5, bits));
+}
+
+#[test]
+fn tolerances_out_of_range_are_refused() {
+    for tolerance in [0.0, -1.0, 1.0, f64::NAN] {
+        let options = HierarchicalOptions { tolerance, seed: 0, memory: PLENTY };
+        let refused = form_factors(&cube(1).scene(), &options, &Progress::default());
+        assert!(invalid(refused.map(|_| ())).contains("tolerance"), "{tolerance}");
+    }
+}
+
+fn solved(scene: &Scene, tolerance: f64, memory: u64, check: impl FnOnce(&Solver)) -> Result<()> {
+    let blockers = Blockers::of_scene(scene);
+    let mut solver = Solver::new(scene, &blockers, 0, memory)?;
+    solver.refine_to(tolerance, &Progress::default())?;
+    check(&solver);
+    Ok(())
+}
+
+#[test]
+fn a_furnace_is_exact_and_not_refined() {
+    for rho in [0.0, 0.5, 0.99, 0.999_999] {
+        let scene = lit(&cube(4), rho, |_| 2.0);
+        solved(&scene, 0.5, PLENTY, |solver| {
+            for h in solver.patch_irradiance() {
+                // B = E / (1 - rho) = H everywhere; the solver's residual of 1e-4 of the first bounce vanishes with it.
+                let exact = 2.0 / (1.0 - rho);
+                assert_close(h, exact, 1e-9 * exact);
+            }
+            assert_eq!(solver.leaves(), scene.len(), "nothing changes from place to place");
+            assert!(solver.links().found.links.len() < 20, "six walls that each see five");
+        })
+        .unwrap();
+    }
+}
+
+#[test]
+fn a_white_room_that_only_rays_know_to_be_closed_is_refused() {
+    // The floor is cut finer than the walls: by its edges the room has gaps.
+    let floor = plate(Vec3::ZERO, Vec3::X, Vec3::Y, 2);
+    let others = [
+        plate(Vec3::Z, Vec3::Y, Vec3::X, 1),
+        plate(Vec3::ZERO, Vec3::Y, Vec3::Z, 1),
+        plate(Vec3::X, Vec3::Z, Vec3::Y, 1),
+        plate(Vec3::ZERO, Vec3::Z, Vec3::X, 1),
+        plate(Vec3::Y, Vec3::X, Vec3::Z, 1),
+    ];
+    let room = others.iter().fold(floor, |room, wall| room.and(wall));
+    let scene = lit(&room, 1.0, |_| 1.0);
+    assert!(invalid(solved(&scene, 0.1, PLENTY, |_| ())).contains("reflectance 1"));
+}
+
+#[test]
+fn power_is_accounted_for() {
+    let scene = lit(&box_in_box(2), 0.7, lamp);
+    solved(&scene, 0.05, PLENTY, |solver| {
+        let audit = solver.audit();
+        let gap = audit.emitted[0] - audit.absorbed[0] - audit.left[0];
+        // What is left is the residual of the iteration.
+        assert!(gap.abs() <= 1e-3 * audit.emitted[0], "{gap}");
+        // A closed scene loses nothing.
+        assert_close(audit.left[0], 0.0, 0.0);
+    })
+    .unwrap();
+}
+
+#[test]
+fn refinement_ends_where_memory_does() {
+    let scene = lit(&box_in_box(2), 0.5, lamp);
+    let small = 2_000_000;
+    solved(&scene, 1e-4, small, |solver| {
+        assert!(solver.done.out_of_memory);
+        assert!(solver.link_error > 1e-4 && solver.link_error.is_finite());
+        // The last level may still be added whole.
+        assert!((solver.links().nbytes() as u64) < 8 * small, "{}", solver.links().nbytes());
+    })
+    .unwrap();
+    let refused = solved(&scene, 0.1, 1000, |_| ());
+    assert!(matches!(refused, Err(Error::Memory { .. })));
+}
+
+#[test]
+fn the_mesh_of_leaves_has_no_gaps() {
+    let scene = lit(&box_in_box(2), 0.5, lamp);
+    solved(&scene, 0.03, PLENTY, |solver| {
+        let (mesh, irradiance) = solver.mesh();
+        assert!(mesh.faces.len() > scene.len(), "shadows ask for more");
+        // Every edge of a closed surface is run through both ways as often.
+        let mut edges = std::collections::HashMap::new();
+        for &[a, b, c] in &mesh.faces {
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                *edges.entry((from.min(to), from.max(to))).or_insert(0i32) += if from < to { 1 } else { -1 };
+            }
+        }
+        assert!(edges.values().all(|balance| *balance == 0));
+        let area = |face: &[u32; 3]| {
+            let [a, b, c]: [Vec3; 3] = face.map(|v| mesh.vertices[v as usize]);
+            0.5 * (b - a).cross(c - a).length()
+        };
+        let total: f64 = mesh.faces.iter().map(area).sum();
+        let expected: f64 = scene.areas().iter().sum();
+        assert_close(total, expected, 1e-12 * expected);
+        // Faces hold the power of their patches.
+        let on_faces: f64 = mesh.faces.iter().zip(&irradiance).map(|(face, h)| area(face) * h).sum();
+        let on_patches: f64 = scene.areas().iter().zip(solver.patch_irradiance()).map(|(area, h)| area * h).sum();
+        assert_close(on_faces, on_patches, 1e-11 * on_patches);
+    })
+    .unwrap();
+}
