@@ -215,7 +215,7 @@ fn a_white_room_that_only_rays_know_to_be_closed_is_refused() {
         plate(Vec3::ZERO, Vec3::Z, Vec3::X, 1),
         plate(Vec3::Y, Vec3::X, Vec3::Z, 1),
     ];
-    let room = others.iter().fold(floor, |room, wall| room.and(wall));
+    let room = others.iter().fold(floor, Mesh::and);
     let scene = lit(&room, 1.0, |_| 1.0);
     assert!(invalid(solved(&scene, 0.1, PLENTY, |_| ())).contains("reflectance 1"));
 }
