@@ -54,6 +54,7 @@ RESIDUAL = 0.01
 SOLVE: dict[str, dict[str, Any]] = {
     "rays, constant": {"method": "rays", "order": 0},
     "rays, linear": {"method": "rays", "order": 1},
+    "hierarchical": {"method": "hierarchical"},
 }
 
 REFEREE = "Mitsuba"
@@ -317,6 +318,7 @@ _COLOURS = {
     "dense, gmres": "#084594",
     "rays, constant": "#e69f00",
     "rays, linear": "#d55e00",
+    "hierarchical": "#009e73",
     REFEREE: "#555555",
 }
 _MARKERS = ("o", "s", "^", "D", "v", "P")
