@@ -45,6 +45,8 @@ LARGEST_NOISE = 0.5
 SOLVERS = ("direct", "jacobi", "gauss_seidel", "southwell", "gmres")
 # Above so many patches all pairs are no sensible choice, and form factors would take most of the bench's time.
 LARGEST_DENSE = 1500
+# Below, links would take most of it.
+FINEST_LINKS = 0.01
 # Row tolerance of the form factors and residual of the solvers, in tolerances of the solution. Errors of single form
 # factors average out over a row; the residual is relative to E, which in a room with a small lamp outweighs B - E.
 ROW_TOLERANCE = 3.0
@@ -163,7 +165,9 @@ def _race(reference: Reference, with_mitsuba: bool, tolerances: Sequence[float],
             continue
         if scene.n_patches <= LARGEST_DENSE:
             contests.append(_dense(scene, tolerance))
-        contests += [_solve(scene, tolerance, name, keywords) for name, keywords in SOLVE.items()]
+        fine = tolerance < FINEST_LINKS
+        methods = {name: keywords for name, keywords in SOLVE.items() if not (fine and name == "hierarchical")}
+        contests += [_solve(scene, tolerance, name, keywords) for name, keywords in methods.items()]
     if with_mitsuba:
         try:
             contests += _referee(scene)

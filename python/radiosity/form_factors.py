@@ -161,7 +161,7 @@ def form_factors_as_reached(
             )
             return FormFactors(core, scene, method)
         if method == "hierarchical":
-            core, _, _ = _core.FormFactors.hierarchical(
+            core = _core.FormFactors.hierarchical(
                 scene._core, float(tolerance), number, available_bytes(), workers, report
             )
             return FormFactors(core, scene, method)

@@ -28,14 +28,10 @@ pub struct HierarchicalOptions {
 /// What was reached.
 #[derive(Debug, Clone, Copy)]
 pub struct Reached {
-    /// Estimate of the largest row error.
+    /// Estimate of the largest row error; above the tolerance where memory ended the refinement.
     pub error_estimate: f64,
     /// Segments cast.
     pub segments: u64,
-    /// Pairs of nodes looked at.
-    pub pairs: u64,
-    /// Whether refinement ended because memory did.
-    pub out_of_memory: bool,
 }
 
 /// Share of the tolerance for kernels of single pairs of patches.
@@ -110,12 +106,7 @@ pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Pro
     let above = worst_leaf(&links, &errors);
     let (segments, hidden) =
         settle(scene, &blockers, &mut links, options, options.tolerance - above - accuracy.tolerance(), progress)?;
-    let reached = Reached {
-        error_estimate: accuracy.tolerance() + above + hidden,
-        segments: done.segments + segments,
-        pairs: done.pairs,
-        out_of_memory: done.out_of_memory,
-    };
+    let reached = Reached { error_estimate: accuracy.tolerance() + above + hidden, segments: done.segments + segments };
     Ok((links, reached))
 }
 

@@ -89,8 +89,7 @@ impl FormFactors {
         Ok(FormFactors { operator: Arc::new(sampled), dense: None, links: None, error_estimate, segments })
     }
 
-    /// The operator of a scene as links between elements of all sizes; with how many pairs were looked at, and whether memory ended
-    /// the refinement.
+    /// The operator of a scene as links between clusters of all sizes.
     #[staticmethod]
     #[pyo3(signature = (scene, tolerance, seed, memory, threads, progress))]
     fn hierarchical(
@@ -101,16 +100,15 @@ impl FormFactors {
         memory: u64,
         threads: Option<usize>,
         progress: Option<Bound<'_, PyAny>>,
-    ) -> PyResult<(FormFactors, u64, bool)> {
+    ) -> PyResult<FormFactors> {
         let scene = Arc::clone(&scene.scene);
         let options = HierarchicalOptions { tolerance, seed, memory };
         let work = move |progress: &Progress| hierarchy::form_factors(&scene, &options, progress);
         let (links, reached) = run(py, threads, progress.as_ref(), work)?;
-        let Reached { error_estimate, segments, pairs, out_of_memory } = reached;
+        let Reached { error_estimate, segments } = reached;
         let links = Arc::new(links);
         let operator: Arc<dyn Operator> = links.clone();
-        let factors = FormFactors { operator, dense: None, links: Some(links), error_estimate, segments };
-        Ok((factors, pairs, out_of_memory))
+        Ok(FormFactors { operator, dense: None, links: Some(links), error_estimate, segments })
     }
 
     /// For every link its two nodes' ranges in the order of the tree, their levels, and its visibility (0 full, 1 none, 2
