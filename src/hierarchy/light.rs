@@ -10,7 +10,8 @@
 //! cluster counts. In a closed scene, where light that is the same everywhere makes no error ([`super::closed`]), it is
 //! the mean of (B_q - B_p)^2: a furnace is not refined at all.
 
-use super::links::{Link, Links};
+use super::link::Link;
+use super::links::Links;
 use super::refine::Goal;
 use super::tree::Tree;
 use crate::scene::Scene;

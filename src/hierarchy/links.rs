@@ -7,28 +7,11 @@
 
 use rayon::prelude::*;
 
-use super::oracle::Exchange;
+use super::link::{Found, NO_MATRIX};
 use super::push_pull::{Layout, multiply};
-use super::refine::Found;
 use super::tree::Tree;
 use crate::assembly::{FormFactors, Order};
 use crate::geometry::sampling::hash;
-
-/// The place of the matrix of a link that carries nothing.
-pub const NO_MATRIX: usize = usize::MAX;
-
-/// A pair of nodes that exchange light, or would if nothing stood between.
-#[derive(Debug, Clone, Copy)]
-pub struct Link {
-    /// One node.
-    pub p: u32,
-    /// The other.
-    pub q: u32,
-    /// Where its S starts; [`NO_MATRIX`] for a link that carries nothing.
-    pub at: usize,
-    /// What the two exchange.
-    pub exchange: Exchange,
-}
 
 /// A link as one of its nodes sees it.
 #[derive(Debug, Clone, Copy, Default)]

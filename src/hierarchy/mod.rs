@@ -7,7 +7,7 @@
 //! - [`tree`]: clusters, patches, elements; [`functions`]: what radiosity is on a node, linear in position and normal
 //! - [`oracle`]: what two nodes exchange, how much of it is hidden, how far a link would be wrong
 //! - [`refine`]: from the root down to links that a goal allows
-//! - [`links`]: the links as an operator; [`push_pull`]: up and down the tree
+//! - [`link`]: one of them; [`links`]: all as an operator; [`push_pull`]: up and down the tree
 //! - [`operator`]: the goal of form factors, a row tolerance
 //! - [`light`]: the goal of a solve, brightness x form factor x area; [`closed`]: scenes that lose no light
 //! - [`solver`]: refine, solve, refine again; [`mesh`]: the leaves, to be shown
@@ -15,6 +15,7 @@
 pub mod closed;
 pub mod functions;
 pub mod light;
+pub mod link;
 pub mod links;
 pub mod mesh;
 pub mod operator;

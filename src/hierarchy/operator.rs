@@ -4,9 +4,10 @@
 //! is within the tolerance: sum over j of |dF_ij|. Pairs of patches between which something may stand are
 //! settled by [`crate::assembly`]'s shadows and segments, like those of the dense operator.
 
+use super::link::Found;
 use super::links::Links;
 use super::oracle::Visibility;
-use super::refine::{Done, Found, Goal, Refinement};
+use super::refine::{Done, Goal, Refinement};
 use super::tree::Tree;
 use crate::assembly::{Blockers, Candidate, MOST_ROUNDS, Order, plan, sample};
 use crate::error::Result;

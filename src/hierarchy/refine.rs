@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 
-use super::links::{Link, NO_MATRIX};
+use super::link::{Found, Link, NO_MATRIX};
 use super::oracle::{FIRST_SEGMENTS, Oracle, Visibility};
 use super::tree::Tree;
 use crate::assembly::Blockers;
@@ -55,28 +55,6 @@ pub struct Done {
     pub stopped: u64,
     /// Whether memory ran out first.
     pub out_of_memory: bool,
-}
-
-/// Links, and their matrices one after the other.
-#[derive(Debug, Clone, Default)]
-pub struct Found {
-    /// The links.
-    pub links: Vec<Link>,
-    /// Their S, where they have one.
-    pub matrices: Vec<f64>,
-}
-
-impl Found {
-    fn append(&mut self, other: &Found) {
-        let shift = self.matrices.len();
-        self.matrices.extend_from_slice(&other.matrices);
-        let moved = |link: &Link| Link { at: if link.at == NO_MATRIX { NO_MATRIX } else { link.at + shift }, ..*link };
-        self.links.extend(other.links.iter().map(moved));
-    }
-
-    fn nbytes(&self) -> u64 {
-        (size_of_val(self.links.as_slice()) + size_of_val(self.matrices.as_slice())) as u64
-    }
 }
 
 #[derive(Default)]
@@ -173,17 +151,6 @@ impl Refinement<'_> {
             frontier.extend(waiting);
         }
         Ok(kept)
-    }
-}
-
-impl Found {
-    fn keep(&mut self, other: &Found, link: &Link, tree: &Tree) {
-        let at = if link.at == NO_MATRIX { NO_MATRIX } else { self.matrices.len() };
-        if link.at != NO_MATRIX {
-            let size = tree.nodes[link.p as usize].functions.len() * tree.nodes[link.q as usize].functions.len();
-            self.matrices.extend_from_slice(&other.matrices[link.at..][..size]);
-        }
-        self.links.push(Link { at, ..*link });
     }
 }
 

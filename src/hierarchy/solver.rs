@@ -6,9 +6,10 @@
 use super::closed::{Closed, is_closed};
 use super::functions::place;
 use super::light::{Light, Surroundings};
+use super::link::Found;
 use super::links::Links;
 use super::mesh::LeafMesh;
-use super::refine::{Done, Found, Refinement};
+use super::refine::{Done, Refinement};
 use super::tree::Tree;
 use crate::assembly::{Blockers, FormFactors, Order};
 use crate::error::{Error, Result};
