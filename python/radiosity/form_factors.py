@@ -296,7 +296,7 @@ class FormFactors:
         """
         if self.method != "analytic":
             raise ValueError(
-                f"balance moves single pairs of patches, which {self.method!r} does not store; "
+                f"balance moves pairs of patches and keeps reciprocity, for which {self.method!r} stores no pairs; "
                 'use form_factors(..., method="analytic")'
             )
         core, moved = self._core.balance(available_bytes())
