@@ -181,6 +181,23 @@ def test_a_small_lamp_in_a_large_hall():
     assert 4 * part * power * 0.97 <= floor <= 4 * part * power + others
 
 
+def test_intersecting_plates_and_a_lamp_of_a_millionth_of_the_scene():
+    floor = plate((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    # A sheet that stands in the floor and goes through it, seen from both sides.
+    front = plate((0.5, 0.2, -0.3), (0, 0.6, 0), (0, 0, 0.6))
+    back = front[::-1]
+    lamp = plate((0.2, 0.2, 0.9), (0, 1.7e-3, 0), (1.7e-3, 0, 0))
+    scene = scene_of_plates([floor, front, back, lamp], [0.5, 0.5, 0.5, 0.0], [0.0, 0.0, 0.0, 1e6])
+    assert scene.areas[-2:].sum() < 2e-6 * scene.areas.sum()
+    by_rays = rad.solve(scene, 0.01, progress=False)
+    solution = rad.solve(scene, 0.03, "hierarchical", progress=False)
+    rho = scene.reflectance
+    difference = scene.areas @ (rho * (solution.irradiance - by_rays.irradiance)) ** 2
+    error = np.sqrt((difference / (scene.areas @ (rho * by_rays.irradiance) ** 2))[0])
+    # Two solutions, each within its own tolerance.
+    assert error <= 0.03 + 0.01
+
+
 def test_ten_thousand_disconnected_triangles():
     n, lamps = 10_000, 100
     random = np.random.default_rng(1)
