@@ -60,7 +60,6 @@ class _SolvedOnLinks(TypedDict):
     on_faces: _Floats
     leaves: int
     links: int
-    nbytes: int
     segments: int
     stopped: int
     out_of_memory: bool

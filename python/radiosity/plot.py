@@ -128,19 +128,19 @@ def links(F: FormFactors, *, size: int = 800) -> Figure:
     blocks = np.full((pixels, pixels), np.nan)
     edges = found.ranges * pixels // n
     pairs = np.prod(found.ranges[:, :, 1] - found.ranges[:, :, 0], axis=1).astype(float)
-    pairs[found.visibility == 1] = 0.0
+    shown = np.where(found.visibility == 1, 0.0, pairs)
     # The large ones first: none of them may cover smaller ones that share a pixel with it.
     for k in np.argsort(-pairs, kind="stable"):
         (a, b), (c, d) = edges[k]
-        blocks[a : max(b, a + 1), c : max(d, c + 1)] = pairs[k]
-        blocks[c : max(d, c + 1), a : max(b, a + 1)] = pairs[k]
+        blocks[a : max(b, a + 1), c : max(d, c + 1)] = shown[k]
+        blocks[c : max(d, c + 1), a : max(b, a + 1)] = shown[k]
     figure = Figure(figsize=(6.4, 5.6), layout="constrained")
     axes = figure.add_subplot()
     axes.imshow(np.where(blocks == 0.0, 1.0, np.nan), cmap="gray", vmin=0.0, vmax=1.25, extent=(0, n, n, 0))
     seen = np.where(blocks > 0.0, blocks, np.nan)
     image = axes.imshow(seen, norm=LogNorm(1, max(2.0, pairs.max(initial=1.0))), extent=(0, n, n, 0))
     figure.colorbar(image, label="pairs of patches a link")
-    axes.set_title(f"{len(found.levels):,} links for {n:,} x {n:,} form factors")
+    axes.set_title(f"{len(found.levels):,} links for {n:,} x {n:,} form factors (grey: hidden)")
     axes.set_xlabel("patch, in the order of the tree")
     axes.set_ylabel("patch")
     return figure
@@ -183,7 +183,7 @@ def links_from(F: FormFactors, patch: int) -> Figure:
     axes.add_collection3d(Line3DCollection(outline, colors="0.85", linewidths=0.3))
     start = np.broadcast_to(scene.centroids[patch], centres.shape)
     lines = Line3DCollection(
-        np.stack([start, centres], axis=1), norm=LogNorm(1, max(2, len(found.order))), linewidths=0.8
+        np.stack([start, centres], axis=1), norm=LogNorm(1, max(2, (last - first).max(initial=1))), linewidths=0.8
     )
     lines.set_array((last - first).astype(float))
     axes.add_collection3d(lines)
@@ -192,6 +192,8 @@ def links_from(F: FormFactors, patch: int) -> Figure:
     for set_limits, a, b in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), low, high, strict=True):
         set_limits(a, b)
     axes.set_box_aspect(np.maximum(high - low, 1e-3 * (high - low).max()))
+    for name, axis in zip("xyz", (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
+        axis.set_label_text(f"{name}, m")
     axes.set_title(f"patch {patch}: {len(ends)} links for {len(found.order):,} form factors")
     return figure
 
@@ -215,7 +217,7 @@ def mesh(solution: Solution, camera: Camera, *, size: int = 600, shading: str = 
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
-    shown = solution if solution.elements is None else solution.elements
+    shown = solution.as_shown
     scene = shown.scene
     if scene is None:
         raise ValueError("a solution without a scene has no mesh")

@@ -71,7 +71,7 @@ def render(
     """The image of a solution: linear radiance, W/(m^2 sr), averaged over each pixel.
 
     Args:
-        solution: a solution that knows its scene.
+        solution: a solution that knows its scene; of ``method="hierarchical"`` its elements are shown.
         camera: the viewpoint.
         width: pixels a row.
         height: rows.
@@ -97,6 +97,8 @@ def render(
         raise TypeError(f"camera must be a radiosity.Camera, not {type(camera).__name__}")
     if solution.scene is None:
         raise ValueError("this solution was made from a plain matrix and knows no geometry; solve form_factors(scene)")
+    solution = solution.as_shown
+    assert solution.scene is not None  # elements are those of a scene
     if shading not in SHADINGS:
         raise ValueError(f"unknown shading {shading!r}; the shadings are {SHADINGS}")
     width, height = (whole_number(name, size, 1, 1 << 20) for name, size in (("width", width), ("height", height)))

@@ -105,7 +105,9 @@ class Report:
         if self.links:
             lines.append(f"links      {self.links} over {self.elements} elements, {self.segments} segments cast")
             if self.stopped:
-                lines.append(f"stopped    {self.stopped} links at the smallest elements")
+                lines.append(
+                    f"stopped    {self.stopped} links at the smallest elements, which are not cut (in the error)"
+                )
             if self.out_of_memory:
                 lines.append("stopped    the memory was used up")
         elif self.elements > self.patches:
@@ -159,6 +161,11 @@ class Solution:
     elements: Solution | None = None
     """By ``"hierarchical"``: the same on the leaves of the tree of elements, as a mesh without T-junctions, whose
     ``.scene.parent`` names the patch of each face. None for other methods."""
+
+    @property
+    def as_shown(self) -> Solution:
+        """What pictures show: :attr:`elements` where there are any, else the solution itself."""
+        return self if self.elements is None else self.elements
 
     def __repr__(self) -> str:
         n, b = self.radiosity.shape

@@ -172,7 +172,7 @@ def solve(
             for. Its ``.elements`` are the adaptive mesh with its shadows: the tolerance holds on them point by point,
             so that it costs more than patch averages would where patches are coarse. ``"auto"`` is ``"rays"``, which
             reach the same true error sooner in most scenes (``radiosity bench`` compares them).
-        order: of the radiosity on a patch that rays find: 1, linear, or 0, constant.
+        order: of the radiosity on a patch that rays find: 1, linear, or 0, constant. No other method looks at it.
         refine: whether rays may follow light below the patches, point by point or on smaller patches, where these are
             too coarse for the tolerance. Patch averages are reported in any case. ``"dense"`` never does,
             ``"hierarchical"`` always.
@@ -183,7 +183,7 @@ def solve(
     Raises:
         ValueError: an unknown method, a value out of range, or a scene without finite solution.
         MemoryError: the solution would not fit, with the estimate: before any work, or before the patches are cut.
-            ``"hierarchical"`` stops there, and says so.
+            ``"hierarchical"`` raises it when not even the patches fit, and else stops where memory ends and says so.
 
     Warns:
         UserWarning: the scene has no emission; or the tolerance was not met, and ``.error_estimate`` says what was.
@@ -216,7 +216,7 @@ def solve(
 def _reason(report: Report) -> str:
     """Why a tolerance was not met."""
     if report.out_of_memory:
-        return f"{report.links} links used up the memory"
+        return f"{report.links} links used up the memory; use method='rays'"
     if report.links:
         return f"{report.stopped} links end at elements that are too small to be cut; use method='rays'"
     return (
@@ -237,9 +237,10 @@ def forecast(
 ) -> Forecast:
     """What :func:`solve` by rays would take, told from its first rounds of sampling.
 
-    The arguments are those of :func:`solve`. The bytes are those that it asks for, unless later rounds find the patches
-    too coarse and cut them. The seconds are extrapolated from two rounds, which take up to a third of the whole (all of
-    a short one): mostly good to a factor of 1.5, and too low by up to 4 where those do not show what is to come.
+    The arguments are those of :func:`solve` with ``method="rays"``, the only one that it knows. The bytes are those
+    that it asks for, unless later rounds find the patches too coarse and cut them. The seconds are extrapolated from
+    two rounds, which take up to a third of the whole (all of a short one): mostly good to a factor of 1.5, and too low
+    by up to 4 where those do not show what is to come.
 
     Raises:
         ValueError, MemoryError: as :func:`solve`.
@@ -268,6 +269,8 @@ def _check(scene: Scene, tolerance: float, method: str, order: int) -> None:
         raise ValueError(
             f"unknown method {method!r}; the methods of solve are {METHODS}; solvers are chosen in solve_system"
         )
+    if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)):
+        raise TypeError(f"tolerance must be a number, not {type(tolerance).__name__}")
     if not 0.0 < float(tolerance) < 1.0:
         raise ValueError(f"tolerance {tolerance} is outside (0, 1)")
     if order not in (0, 1):

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 
 use super::FormFactors;
-use super::hidden::{Blockers, Candidate, MOST_ROUNDS, plan, row_errors, sample};
+use super::hidden::{Blockers, Candidate, settle};
 use super::matrix::add_scaled;
 use crate::error::{Error, Result};
 use crate::form_factor::{Accuracy, Batch, Patch};
@@ -111,16 +111,8 @@ impl Dense {
         let mut candidates = unoccluded(&patches, accuracy, &blockers.bodies, &mut exchange, &room, progress)?;
         fits(Dense::forecast(n) + room.used.into_inner())?;
         let budget = (options.tolerance - accuracy.tolerance()).max(0.5 * options.tolerance);
-        let mut segments = 0;
-        let mut visibility_error = 0.0;
-        for round in 0..=MOST_ROUNDS {
-            segments += sample(&patches, &blockers, &mut candidates, options.seed, progress)?;
-            let errors = row_errors(scene.areas(), &candidates);
-            visibility_error = errors.iter().copied().fold(0.0, f64::max);
-            if round == MOST_ROUNDS || !plan(&mut candidates, scene.areas(), budget) {
-                break;
-            }
-        }
+        let (segments, visibility_error) =
+            settle(&patches, scene.areas(), &blockers, &mut candidates, budget, options.seed, progress)?;
         let mut uncertain = Vec::new();
         for c in &candidates {
             let g = &mut exchange[row_start(c.i as usize) + c.j as usize];

@@ -25,7 +25,7 @@ const RATE: f64 = 0.6;
 /// A pair gets no more segments than this: beyond, a finer mesh is the better answer.
 const MOST_SEGMENTS: u32 = 1 << 16;
 /// Rounds after the pilot. Each plans from what the last one measured; two nearly always suffice.
-pub(crate) const MOST_ROUNDS: usize = 4;
+const MOST_ROUNDS: usize = 4;
 /// With more bodies in a shaft, rays are cheaper than shadows.
 const MOST_BODIES: usize = 8;
 
@@ -69,8 +69,30 @@ impl Blockers {
     }
 }
 
+/// Finds what is visible of every candidate, to a `budget` for the error of every row; returns the segments cast, and the largest
+/// error of a row that is left.
+pub(crate) fn settle(
+    patches: &[Patch],
+    areas: &[f64],
+    blockers: &Blockers,
+    candidates: &mut [Candidate],
+    budget: f64,
+    seed: u64,
+    progress: &Progress,
+) -> Result<(u64, f64)> {
+    let (mut segments, mut round) = (0, 0);
+    loop {
+        segments += sample(patches, blockers, candidates, seed, progress)?;
+        if round == MOST_ROUNDS || !plan(candidates, areas, budget) {
+            let worst = row_errors(areas, candidates).into_iter().fold(0.0, f64::max);
+            return Ok((segments, worst));
+        }
+        round += 1;
+    }
+}
+
 /// Brings the error of every candidate to what is wanted, as far as that can be; returns how many segments were cast.
-pub(crate) fn sample(
+fn sample(
     patches: &[Patch],
     blockers: &Blockers,
     candidates: &mut [Candidate],
@@ -144,7 +166,7 @@ fn visible_by_shadows(
 }
 
 /// For every row the sum over its candidates of the error of F_ij.
-pub(crate) fn row_errors(areas: &[f64], candidates: &[Candidate]) -> Vec<f64> {
+fn row_errors(areas: &[f64], candidates: &[Candidate]) -> Vec<f64> {
     let mut errors = vec![0.0; areas.len()];
     for c in candidates {
         let (i, j) = (c.i as usize, c.j as usize);
@@ -159,7 +181,7 @@ pub(crate) fn row_errors(areas: &[f64], candidates: &[Candidate]) -> Vec<f64> {
 ///
 /// The work of a pair grows when its error falls, whatever its size: the cheapest way to bring a row inside its budget is
 /// one limit for all errors in it, so high that the errors under it and the limit for all others add up to the budget.
-pub(crate) fn plan(candidates: &mut [Candidate], areas: &[f64], budget: f64) -> bool {
+fn plan(candidates: &mut [Candidate], areas: &[f64], budget: f64) -> bool {
     // A little less than allowed: one more round would cost as much again.
     const MARGIN: f64 = 0.85;
     /// Each pass raises the limits towards the fixed point.

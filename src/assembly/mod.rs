@@ -18,7 +18,7 @@ pub mod sampled;
 
 pub use dense::{Dense, DenseOptions};
 pub use hidden::Blockers;
-pub(crate) use hidden::{Candidate, MOST_ROUNDS, plan, row_errors, sample};
+pub(crate) use hidden::{Candidate, settle};
 pub use operator::FormFactors;
 pub use rays::{Order, Rays, Trips};
 pub use sampled::{Estimator, Sampled, SampledOptions};

@@ -120,10 +120,7 @@ impl Lamps {
         if count == 0 || points.is_empty() {
             return 0;
         }
-        let mut factors = vec![0.0; count * points.len()];
-        for (lamp, factors) in self.lamps.iter().zip(factors.chunks_exact_mut(points.len())) {
-            lamp.form_factors(self.instructions, points, factors);
-        }
+        let factors = self.form_factors(points);
         let free = blockers.is_empty();
         for (l, lamp) in self.lamps.iter().enumerate() {
             for (k, point) in points.iter().enumerate() {
@@ -136,6 +133,37 @@ impl Lamps {
         if free {
             return 0;
         }
+        let (asked, segments) = self.ask(points, &factors, numbers);
+        for (Asked { point: k, lamp: l, weight }, blocked) in asked.into_iter().zip(blockers.blocked(&segments)) {
+            let sign = match (in_view(points[k].patch, l), blocked) {
+                (true, true) => -1.0,
+                (false, false) => 1.0,
+                _ => continue,
+            };
+            let row = out[k * bands..][..bands].iter_mut();
+            row.zip(&self.lamps[l].emission).for_each(|(out, e)| *out += sign * weight * e);
+        }
+        segments.len()
+    }
+
+    /// F_l of point k at l x points + k: the form factor from there to lamp l, unoccluded.
+    pub fn form_factors(&self, points: &[Point]) -> Vec<f64> {
+        let mut factors = vec![0.0; self.lamps.len() * points.len()];
+        for (lamp, factors) in self.lamps.iter().zip(factors.chunks_exact_mut(points.len().max(1))) {
+            lamp.form_factors(self.instructions, points, factors);
+        }
+        factors
+    }
+
+    /// Asks one lamp a point whether it is seen, with probability p_l in proportion to E_l F_l: the segments to cast, and what
+    /// each of them stands for. Points without light ask nothing.
+    pub fn ask(
+        &self,
+        points: &[Point],
+        factors: &[f64],
+        numbers: impl Fn(usize) -> [f64; 2],
+    ) -> (Vec<Asked>, Vec<Segment>) {
+        let count = self.lamps.len();
         let powers: Vec<f64> = (0..count).map(|l| self.power(l)).collect();
         let (mut asked, mut segments) = (Vec::new(), Vec::new());
         for (k, point) in points.iter().enumerate() {
@@ -153,21 +181,23 @@ impl Lamps {
             }
             let (end, weight) = self.lamps[l].sample(point, (left / share(l)).min(1.0), v);
             if weight > 0.0 && share(l) > 0.0 {
-                asked.push((k, l, weight * total / share(l)));
+                asked.push(Asked { point: k, lamp: l, weight: weight * total / share(l) });
                 segments.push(Segment { start: point.x, end, exclude: [point.patch, NO_PATCH] });
             }
         }
-        for ((k, l, weight), blocked) in asked.into_iter().zip(blockers.blocked(&segments)) {
-            let sign = match (in_view(points[k].patch, l), blocked) {
-                (true, true) => -1.0,
-                (false, false) => 1.0,
-                _ => continue,
-            };
-            let row = out[k * bands..][..bands].iter_mut();
-            row.zip(&self.lamps[l].emission).for_each(|(out, e)| *out += sign * weight * e);
-        }
-        segments.len()
+        (asked, segments)
     }
+}
+
+/// One question: does a point see a point of a lamp?
+#[derive(Debug, Clone, Copy)]
+pub struct Asked {
+    /// Number of the point.
+    pub point: usize,
+    /// Number of the lamp.
+    pub lamp: usize,
+    /// w / p: the mean of weight x visibility over all questions is the form factor from the point, occluded.
+    pub weight: f64,
 }
 
 /// The emitting patches by emission and by the side of space that they face: no group holds both sides of a sheet.

@@ -90,15 +90,22 @@ impl Light {
         irradiance: &[f64],
         surroundings: Surroundings,
     ) -> Light {
+        // In units of the largest, squares neither overflow nor vanish.
+        let mut peaks = vec![f64::MIN_POSITIVE; bands];
+        for row in irradiance.chunks_exact(bands) {
+            peaks.iter_mut().zip(row).for_each(|(peak, h)| *peak = peak.max(h.abs()));
+        }
         let mut squares = vec![0.0; bands];
         for (r, &(leaf, _)) in links.rows().iter().enumerate() {
             let node = &links.tree.nodes[leaf as usize];
             for b in 0..bands {
-                let reflected = surroundings.weights[node.patch as usize * bands + b] * irradiance[r * bands + b];
+                let h = irradiance[r * bands + b] / peaks[b];
+                let reflected = surroundings.weights[node.patch as usize * bands + b] * h;
                 squares[b] += node.area * reflected * reflected;
             }
         }
-        let norms: Vec<f64> = squares.into_iter().map(f64::sqrt).collect();
+        let norms: Vec<f64> =
+            squares.into_iter().zip(peaks).map(|(square, peak): (f64, f64)| square.sqrt() * peak).collect();
         let mut light = Light::dark(bands, &links.tree, surroundings);
         for (&(leaf, function), radiosity) in links.rows().iter().zip(radiosity.chunks_exact(bands)) {
             light.set(leaf as usize, function as usize, radiosity, &norms);
@@ -178,10 +185,10 @@ impl Light {
         error * error * (0..bands).map(of_band).fold(0.0, f64::max)
     }
 
-    /// The error that all links put in, if they know nothing of each other.
-    pub fn error(&self, links: &[Link]) -> f64 {
+    /// The error that links put in, if they know nothing of each other.
+    pub fn error<'a>(&self, links: impl Iterator<Item = &'a Link>) -> f64 {
         let of_link = |link: &Link| self.squared_error(link.p as usize, link.q as usize, link.exchange.error());
-        links.iter().map(of_link).sum::<f64>().sqrt()
+        links.map(of_link).sum::<f64>().sqrt()
     }
 }
 

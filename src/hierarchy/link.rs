@@ -37,10 +37,6 @@ impl Found {
         self.links.extend(other.links.iter().map(moved));
     }
 
-    pub(super) fn nbytes(&self) -> u64 {
-        (size_of_val(self.links.as_slice()) + size_of_val(self.matrices.as_slice())) as u64
-    }
-
     /// Adds one of the links of another.
     pub(super) fn keep(&mut self, other: &Found, link: &Link, tree: &Tree) {
         let at = if link.at == NO_MATRIX { NO_MATRIX } else { self.matrices.len() };

@@ -36,7 +36,7 @@ pub struct Links {
     pub found: Found,
     layout: Layout,
     /// Ends of links at node k: `ends[start[k]..start[k + 1]]`.
-    start: Vec<u32>,
+    start: Vec<usize>,
     ends: Vec<End>,
     /// The leaf of every row, the function, and the area.
     rows: Vec<(u32, u32)>,
@@ -47,15 +47,15 @@ impl Links {
     /// Of a tree and its links.
     pub fn new(tree: Tree, found: Found) -> Links {
         let count = tree.nodes.len();
-        let mut start = vec![0u32; count + 1];
+        let mut start = vec![0; count + 1];
         let carrying = || found.links.iter().enumerate().filter(|(_, link)| link.at != NO_MATRIX);
         carrying().for_each(|(_, link)| [link.p, link.q].iter().for_each(|&k| start[k as usize + 1] += 1));
         (0..count).for_each(|k| start[k + 1] += start[k]);
-        let mut ends = vec![End::default(); start[count] as usize];
+        let mut ends = vec![End::default(); start[count]];
         let mut next = start.clone();
         for (_, link) in carrying() {
             for (node, other, is_second) in [(link.p, link.q, false), (link.q, link.p, true)] {
-                ends[next[node as usize] as usize] = End { at: link.at, other, is_second };
+                ends[next[node as usize]] = End { at: link.at, other, is_second };
                 next[node as usize] += 1;
             }
         }
@@ -109,7 +109,7 @@ impl Links {
 
     /// The links that end at a node.
     fn ends(&self, node: usize) -> &[End] {
-        &self.ends[self.start[node] as usize..self.start[node + 1] as usize]
+        &self.ends[self.start[node]..self.start[node + 1]]
     }
 
     /// Adds to `out` what a node gathers over its own links.

@@ -9,10 +9,10 @@
 //! - [`refine`]: from the root down to links that a goal allows
 //! - [`link`]: one of them; [`links`]: all as an operator; [`push_pull`]: up and down the tree
 //! - [`operator`]: the goal of form factors, a row tolerance
-//! - [`light`]: the goal of a solve, brightness x form factor x area; [`closed`]: scenes that lose no light
+//! - [`light`]: the goal of a solve, brightness x form factor x area; [`balanced`]: scenes that lose no light
 //! - [`solver`]: refine, solve, refine again; [`mesh`]: the leaves, to be shown
 
-pub mod closed;
+pub mod balanced;
 mod clusters;
 pub mod functions;
 pub mod light;

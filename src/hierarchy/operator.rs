@@ -9,7 +9,7 @@ use super::links::Links;
 use super::oracle::Visibility;
 use super::refine::{Done, Goal, Refinement};
 use super::tree::Tree;
-use crate::assembly::{Blockers, Candidate, MOST_ROUNDS, Order, plan, sample};
+use crate::assembly::{Blockers, Candidate, Order, settle};
 use crate::error::Result;
 use crate::form_factor::{Accuracy, Patch};
 use crate::progress::Progress;
@@ -41,6 +41,8 @@ const KERNEL_SHARE: f64 = 0.02;
 const LINK_SHARE: f64 = 0.6;
 /// A link may be wrong by this share of what its row may, at first; each round by half of that.
 const FIRST: f64 = 0.05;
+/// Of the layout of products and the lists of links, and of a matrix row's candidates.
+const BYTES_A_NODE: u64 = 256;
 /// Rounds.
 const ROUNDS: usize = 24;
 
@@ -69,14 +71,23 @@ impl Goal for Rows<'_> {
 /// Computes the links of a scene.
 ///
 /// # Errors
-/// [`crate::Error::Invalid`] for a tolerance out of range, [`crate::Error::Interrupted`].
+/// [`crate::Error::Invalid`] for a tolerance out of range, [`crate::Error::Memory`] when not even the patches fit,
+/// [`crate::Error::Interrupted`].
 pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Progress) -> Result<(Links, Reached)> {
     Accuracy::new(options.tolerance)?;
     let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
     let blockers = Blockers::of_scene(scene);
     let mut tree = Tree::new(scene, &blockers.bodies, Order::Constant);
     let areas: Vec<f64> = tree.nodes.iter().map(|node| node.area).collect();
-    let refinement = Refinement { scene, blockers: &blockers, accuracy, seed: options.seed, memory: options.memory };
+    let refinement = Refinement {
+        scene,
+        blockers: &blockers,
+        accuracy,
+        seed: options.seed,
+        memory: options.memory,
+        bytes_a_node: BYTES_A_NODE,
+    };
+    refinement.check(&tree)?;
     let mut limits = vec![FIRST * options.tolerance; areas.len()];
     let (mut found, mut done): (Option<Found>, Done) = (None, Done::default());
     let budget = LINK_SHARE * options.tolerance;
@@ -105,8 +116,10 @@ pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Pro
         found = Some(refined);
     };
     let above = worst_leaf(&links, &errors);
-    let (segments, hidden) =
-        settle(scene, &blockers, &mut links, options, options.tolerance - above - accuracy.tolerance(), progress)?;
+    // Where memory has run out the links alone may be over the tolerance: what is hidden then gets no less than it would have.
+    let left =
+        (options.tolerance - above - accuracy.tolerance()).max((1.0 - LINK_SHARE - KERNEL_SHARE) * options.tolerance);
+    let (segments, hidden) = settle_patches(scene, &blockers, &mut links, left, options.seed, progress)?;
     let reached = Reached { error_estimate: accuracy.tolerance() + above + hidden, segments: done.segments + segments };
     Ok((links, reached))
 }
@@ -118,12 +131,12 @@ fn worst_leaf(links: &Links, errors: &[f64]) -> f64 {
 
 /// Finds how much is visible of the pairs of patches between which something may stand; returns segments, and the largest row
 /// error that is left of it.
-fn settle(
+fn settle_patches(
     scene: &Scene,
     blockers: &Blockers,
     links: &mut Links,
-    options: &HierarchicalOptions,
     budget: f64,
+    seed: u64,
     progress: &Progress,
 ) -> Result<(u64, f64)> {
     let is_open = |links: &Links, k: usize| {
@@ -142,19 +155,17 @@ fn settle(
         Candidate::new(i, j, link.exchange.unoccluded)
     };
     let mut candidates: Vec<Candidate> = open.iter().map(candidate).collect();
-    let (mut segments, mut worst) = (0, 0.0);
-    for round in 0..=MOST_ROUNDS {
-        segments += sample(&patches, blockers, &mut candidates, options.seed, progress)?;
-        worst = crate::assembly::row_errors(scene.areas(), &candidates).into_iter().fold(0.0, f64::max);
-        if round == MOST_ROUNDS || !plan(&mut candidates, scene.areas(), budget) {
-            break;
-        }
-    }
+    let settled = settle(&patches, scene.areas(), blockers, &mut candidates, budget, seed, progress)?;
     for (&k, candidate) in open.iter().zip(&candidates) {
         let link = &mut links.found.links[k];
         link.exchange.fraction = candidate.visible;
         link.exchange.fraction_error = candidate.error;
         links.found.matrices[link.at] *= candidate.visible;
+        if candidate.visible == 0.0 {
+            link.exchange.visibility = Visibility::None;
+        } else if candidate.visible == 1.0 && candidate.error == 0.0 {
+            link.exchange.visibility = Visibility::Full;
+        }
     }
-    Ok((segments, worst))
+    Ok(settled)
 }

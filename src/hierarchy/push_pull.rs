@@ -34,13 +34,9 @@ impl Layout {
     }
 
     /// Numbers of one band of all nodes.
+    #[expect(clippy::len_without_is_empty, reason = "there is always a root")]
     pub fn len(&self) -> usize {
         self.start[self.start.len() - 1]
-    }
-
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// K of a node.

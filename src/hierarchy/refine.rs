@@ -6,11 +6,12 @@
 
 use rayon::prelude::*;
 
+use super::functions::MOST;
 use super::link::{Found, Link, NO_MATRIX};
 use super::oracle::{FIRST_SEGMENTS, Oracle, Visibility};
 use super::tree::Tree;
 use crate::assembly::Blockers;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::form_factor::Accuracy;
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -76,9 +77,20 @@ pub struct Refinement<'a> {
     pub accuracy: Accuracy,
     /// Of segments.
     pub seed: u64,
-    /// Bytes that tree and links may take.
+    /// Bytes that may be used.
     pub memory: u64,
+    /// What every node of the tree takes beside itself, in those who use the links.
+    pub bytes_a_node: u64,
 }
+
+/// Vectors grow by doubling: about so many times what they hold is in use.
+const GROWTH: u64 = 2;
+/// A link with its matrix, and its two ends in [`super::links`].
+const BYTES_OF_LINK: u64 = (size_of::<Link>() + 8 * (MOST - 1) * (MOST - 1) + 48) as u64;
+/// A node of the tree, about.
+const BYTES_OF_NODE: u64 = 1600;
+/// What one pair may become on the next level.
+const PARTS: u64 = 4;
 
 impl Refinement<'_> {
     /// Replaces the links that the goal does not allow by finer ones; starts from the root where there are none. What has been done
@@ -95,18 +107,18 @@ impl Refinement<'_> {
         progress: &Progress,
     ) -> Result<Found> {
         let mut kept = Found::default();
+        done.stopped = 0;
         let mut frontier = match found {
             None => vec![Pair { p: 0, q: 0, clear: self.blockers.bodies.is_empty(), part: false }],
             Some(found) => {
                 let mut frontier = Vec::new();
                 for link in &found.links {
                     let (p, q) = (link.p as usize, link.q as usize);
-                    let is_final = tree.nodes[p].is_leaf()
-                        && tree.nodes[q].is_leaf()
-                        && !goal.may_divide(tree, p)
-                        && !goal.may_divide(tree, q);
-                    if is_final || goal.allows(p, q, link.exchange.error()) {
+                    let is_final = is_final(tree, goal, p, q);
+                    let is_allowed = goal.allows(p, q, link.exchange.error());
+                    if is_final || is_allowed {
                         kept.keep(&found, link, tree);
+                        done.stopped += u64::from(!is_allowed);
                     } else {
                         let clear = link.exchange.visibility == Visibility::Full;
                         frontier.push(Pair { p: link.p, q: link.q, clear, part: true });
@@ -117,9 +129,11 @@ impl Refinement<'_> {
         };
         while !frontier.is_empty() {
             progress.expect(frontier.len() as u64);
-            let used = tree.nbytes() as u64 + kept.nbytes() + size_of_val(frontier.as_slice()) as u64;
-            // The next level may be several times as large as this one.
-            done.out_of_memory |= used + 4 * size_of_val(frontier.as_slice()) as u64 > self.memory;
+            let pairs = frontier.len() as u64;
+            let leaves = tree.nodes.len() as u64;
+            let next = PARTS * pairs * (size_of::<Pair>() as u64 + BYTES_OF_LINK)
+                + PARTS * pairs.min(leaves) * (BYTES_OF_NODE + self.bytes_a_node);
+            done.out_of_memory |= self.used(tree, &kept) + next > self.memory;
             let accept = done.out_of_memory;
             let parts: Result<Vec<Part>> = frontier
                 .par_chunks(TOGETHER)
@@ -152,6 +166,34 @@ impl Refinement<'_> {
         }
         Ok(kept)
     }
+
+    /// Refuses a tree that is too large even without links.
+    ///
+    /// # Errors
+    /// [`Error::Memory`].
+    pub fn check(&self, tree: &Tree) -> Result<()> {
+        let needed = self.used(tree, &Found::default());
+        if needed <= self.memory {
+            return Ok(());
+        }
+        Err(Error::Memory {
+            what: format!("the tree over {} patches", self.scene.len()),
+            needed,
+            available: self.memory,
+            remedy: "use fewer patches (a larger max_edge)".to_string(),
+        })
+    }
+
+    /// Bytes that tree and links take, with what their users need beside them.
+    fn used(&self, tree: &Tree, found: &Found) -> u64 {
+        let links = found.links.len() as u64;
+        GROWTH * (tree.nbytes() as u64 + links * BYTES_OF_LINK) + tree.nodes.len() as u64 * self.bytes_a_node
+    }
+}
+
+/// Whether a link between two nodes is as fine as it may be.
+pub fn is_final(tree: &Tree, goal: &impl Goal, p: usize, q: usize) -> bool {
+    [p, q].into_iter().all(|k| tree.nodes[k].is_leaf() && !goal.may_divide(tree, k))
 }
 
 /// Makes a link of a pair, or parts it.
@@ -203,7 +245,8 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
     }
     let clear = pair.clear || oracle.is_clear(tree, p, q);
     if !clear {
-        let most = if to_part.is_some() { FIRST_SEGMENTS } else { goal.most_segments() };
+        // Where memory has run out, clusters are looked at like those that are going to be parted.
+        let most = if larger.into_iter().any(can) { FIRST_SEGMENTS } else { goal.most_segments() };
         let mut segments = FIRST_SEGMENTS.min(most);
         while segments > 0 {
             oracle.look_between(tree, p, q, segments, &mut exchange);
@@ -217,6 +260,10 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
         if most == 0 {
             exchange.visibility = Visibility::Partial;
         }
+    }
+    if accept && larger.into_iter().any(can) && oracle.unseen(a, b) > 0.0 {
+        // Of nodes that should have been parted, all that they can exchange is in doubt.
+        exchange.kernel_error = exchange.kernel_error.max(a.area.min(b.area));
     }
     if !goal.allows(p, q, exchange.error()) {
         if let Some(number) = to_part {

@@ -3,13 +3,13 @@
 //! Refine, solve, refine again with what the solution says of the light (multigridding): every round allows a link less error,
 //! until all links together put in no more than is asked for.
 
-use super::closed::{Closed, is_closed};
+use super::balanced::{Balanced, is_closed};
 use super::functions::place;
 use super::light::{Light, Surroundings};
-use super::link::Found;
+use super::link::{Found, Link};
 use super::links::Links;
 use super::mesh::LeafMesh;
-use super::refine::{Done, Refinement};
+use super::refine::{Done, Refinement, is_final};
 use super::tree::Tree;
 use crate::assembly::{Blockers, FormFactors, Order};
 use crate::error::{Error, Result};
@@ -29,11 +29,18 @@ const LEAST: f64 = 0.1;
 const MOST: f64 = 0.7;
 /// No link is asked for less.
 const TIGHTEST: f64 = 1e-9;
+/// Rounds in a row without a finite solution before there is none.
+const MOST_FAILURES: usize = 3;
+/// Bytes of a node beside its own, and of each band: its numbers in products, the vectors of GMRES, and the mesh.
+const BYTES_A_NODE: u64 = 600;
+const BYTES_A_BAND: u64 = 3 * 8 * 40;
 /// The part of the errors that has one sign everywhere: that grows from bounce to bounce like the light itself, where a closed
 /// scene's does not (measured in white open rooms: light that falls on what is hidden under other things is lost).
 const ONE_SIGN: f64 = 0.25;
 /// Residual of the solves, relative.
 const RESIDUAL: f64 = 1e-4;
+/// What it may take away of the power of the first bounce.
+const ROUNDING: f64 = 1e-2;
 
 /// A scene with its elements, links, and the light on them.
 pub struct Solver<'a> {
@@ -50,6 +57,8 @@ pub struct Solver<'a> {
     pub irradiance: Vec<f64>,
     /// What links are wrong by, as they say themselves.
     pub link_error: f64,
+    /// The part of it that no refinement lowers: of links between elements that are not cut.
+    final_error: f64,
     /// What refinement has done.
     pub done: Done,
     /// Of the last solve.
@@ -69,18 +78,13 @@ impl<'a> Solver<'a> {
             return Err(without_loss(band));
         }
         let tree = Tree::new(scene, &blockers.bodies, Order::Linear);
-        if tree.nbytes() as u64 > memory {
-            return Err(Error::Memory {
-                what: format!("the tree over {} patches", scene.len()),
-                needed: tree.nbytes() as u64,
-                available: memory,
-                remedy: "use fewer patches (a larger max_edge)".to_string(),
-            });
-        }
         let smallest = SMALLEST * tree.nodes[0].radius;
         let surroundings = Surroundings::new(scene, is_closed, smallest);
         let light = Light::of_emission(scene, &tree, surroundings.clone());
-        let refinement = Refinement { scene, blockers, accuracy: Accuracy::new(KERNEL)?, seed, memory };
+        let bytes_a_node = BYTES_A_NODE + BYTES_A_BAND * bands as u64;
+        let accuracy = Accuracy::new(KERNEL)?;
+        let refinement = Refinement { scene, blockers, accuracy, seed, memory, bytes_a_node };
+        refinement.check(&tree)?;
         let links = Links::new(tree, Found::default());
         Ok(Solver {
             refinement,
@@ -92,6 +96,7 @@ impl<'a> Solver<'a> {
             radiosity: Vec::new(),
             irradiance: Vec::new(),
             link_error: f64::INFINITY,
+            final_error: 0.0,
             done: Done::default(),
             history: Vec::new(),
         })
@@ -107,21 +112,24 @@ impl<'a> Solver<'a> {
     /// # Errors
     /// [`Error::Invalid`] for a scene without a finite solution, [`Error::Interrupted`].
     pub fn refine_to(&mut self, target: f64, progress: &Progress) -> Result<()> {
-        while self.link_error > target && !self.done.out_of_memory {
+        let mut failures = 0;
+        // Not a number is not met.
+        while !(self.link_error <= target) && !self.done.out_of_memory && self.limit >= TIGHTEST {
             if self.link_error.is_finite() {
                 // Errors add up in squares, and as their limit falls, links become as many more.
                 self.limit *= (0.9 * target / self.link_error).powi(2).clamp(LEAST, MOST);
             }
-            let before = self.done.pairs;
             if !self.round(progress)? {
-                // So coarse that rows of F sum to more than 1 and light would grow without end: finer links know better.
+                // So coarse that light would grow without end: finer links may know better.
                 self.limit *= LEAST;
-                if self.limit < TIGHTEST {
+                failures += 1;
+                if failures == MOST_FAILURES || self.done.out_of_memory {
                     return Err(Error::Invalid(
-                        "light grows from bounce to bounce: the patches reflect all of it, or nearly".to_string(),
+                        "light grows from bounce to bounce: some patches reflect all that they exchange, or nearly"
+                            .to_string(),
                     ));
                 }
-            } else if self.done.pairs == before {
+            } else if self.final_error > target {
                 break;
             }
         }
@@ -132,7 +140,6 @@ impl<'a> Solver<'a> {
     fn round(&mut self, progress: &Progress) -> Result<bool> {
         let (mut tree, found) = std::mem::replace(&mut self.links, Links::empty()).into_parts();
         let found = (!found.links.is_empty()).then_some(found);
-        self.done.stopped = 0;
         let mut goal = self.light.clone().with_limit(self.limit);
         let found = self.refinement.refine(&mut tree, found, &mut goal, &mut self.done, progress)?;
         self.links = Links::new(tree, found);
@@ -142,7 +149,10 @@ impl<'a> Solver<'a> {
             let surroundings = self.surroundings.clone();
             self.light = Light::of_solution(&self.links, bands, &self.radiosity, &self.irradiance, surroundings);
             let grown = (ONE_SIGN * self.amplification).hypot(1.0);
-            self.link_error = self.light.error(&self.links.found.links) * grown;
+            let links = &self.links.found.links;
+            let is_final = |link: &&Link| is_final(&self.links.tree, &self.light, link.p as usize, link.q as usize);
+            self.link_error = self.light.error(links.iter()) * grown;
+            self.final_error = self.light.error(links.iter().filter(is_final)) * grown;
         } else {
             self.light.follow(&self.links.tree);
         }
@@ -159,9 +169,8 @@ impl<'a> Solver<'a> {
             emission.extend(scene.emission()[patch..patch + bands].iter().map(|e| if is_constant { *e } else { 0.0 }));
             reflectance.extend_from_slice(&scene.reflectance()[patch..patch + bands]);
         }
-        let closed = self.surroundings.is_closed.then(|| Closed::new(links));
-        let form_factors: &dyn FormFactors = closed.as_ref().map_or(links, |closed| closed);
-        let system = System { form_factors, emission: &[], reflectance: &reflectance, bands };
+        let balanced = Balanced::new(links, self.surroundings.is_closed);
+        let system = System { form_factors: &balanced, emission: &[], reflectance: &reflectance, bands };
         let mut history = Vec::new();
         let mut observe = |step: &Step, _: &[f64], _: &[f64]| {
             history.push(step.clone());
@@ -169,28 +178,32 @@ impl<'a> Solver<'a> {
         };
         let arriving = propagated(&system, std::slice::from_ref(&emission), RESIDUAL, &mut observe)?;
         let Some(mut arriving) = arriving else { return Ok(false) };
-        self.irradiance = arriving.remove(0);
+        let irradiance = arriving.remove(0);
+        let mut first = vec![0.0; emission.len()];
+        balanced.apply(&emission, bands, &mut first);
+        let power = |h: &[f64], b: usize| -> f64 {
+            let of_row = |(r, row): (usize, &(u32, u32))| {
+                let area = if row.1 == 0 { links.tree.nodes[row.0 as usize].area } else { 0.0 };
+                area * reflectance[r * bands + b] * h[r * bands + b]
+            };
+            links.rows().iter().enumerate().map(of_row).sum()
+        };
+        self.amplification = 0.0;
+        for b in 0..bands {
+            let [first, all] = [&first, &irradiance].map(|h| power(h, b));
+            // Bounces only add. Beyond the pole of 1 / (1 - rho F), where they would grow without end, there is a solution too.
+            if !(all >= (1.0 - ROUNDING) * first) {
+                return Ok(false);
+            }
+            if !self.surroundings.is_closed {
+                let grown = if first > 0.0 { all / first } else { 1.0 };
+                self.amplification = self.amplification.max(grown);
+            }
+        }
+        self.irradiance = irradiance;
         let reflected = self.irradiance.iter().zip(&reflectance).map(|(h, rho)| rho * h);
         self.radiosity = emission.iter().zip(reflected).map(|(e, r)| e + r).collect();
         self.history = history;
-        if !self.surroundings.is_closed {
-            let mut first = vec![0.0; emission.len()];
-            links.apply(&emission, bands, &mut first);
-            let amplification = |b: usize| {
-                let rows = || links.rows().iter().enumerate().filter(|(_, row)| row.1 == 0).map(|(r, _)| r);
-                let power = |h: &[f64]| -> f64 {
-                    let of_row = |r: usize| {
-                        links.tree.nodes[links.rows()[r].0 as usize].area
-                            * reflectance[r * bands + b]
-                            * h[r * bands + b]
-                    };
-                    rows().map(of_row).sum()
-                };
-                let first = power(&first);
-                if first > 0.0 { power(&self.irradiance) / first } else { 1.0 }
-            };
-            self.amplification = (0..bands).map(amplification).fold(1.0, f64::max);
-        }
         Ok(true)
     }
 
@@ -231,7 +244,7 @@ impl<'a> Solver<'a> {
     pub fn audit(&self) -> Audit {
         let (scene, links) = (self.refinement.scene, &self.links);
         let bands = scene.bands();
-        let missing = if self.surroundings.is_closed { vec![0.0; links.rows().len()] } else { links.missing() };
+        let left = Balanced::new(links, self.surroundings.is_closed).left;
         let mut audit = [(); 4].map(|()| vec![0.0; bands]);
         for (r, &(leaf, function)) in links.rows().iter().enumerate() {
             let node = &links.tree.nodes[leaf as usize];
@@ -239,7 +252,7 @@ impl<'a> Solver<'a> {
                 let k = node.patch as usize * bands + b;
                 let (radiosity, irradiance) = (self.radiosity[r * bands + b], self.irradiance[r * bands + b]);
                 // Orthonormal functions: the integral of a product is that of its coefficients.
-                audit[2][b] += node.area * radiosity * missing[r];
+                audit[2][b] += node.area * radiosity * left[r];
                 if function == 0 {
                     audit[0][b] += node.area * scene.emission()[k];
                     audit[1][b] += node.area * (1.0 - scene.reflectance()[k]) * irradiance;

@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 use super::convert::{table, vector};
 use super::run::run;
 use super::scene::Scene;
-use crate::assembly::{Blockers, FormFactors};
+use crate::assembly::Blockers;
 use crate::hierarchy::Solver;
 
 /// Returns a dictionary: the patches' irradiance, the leaves as a mesh with theirs, what was reached and done.
@@ -32,7 +32,7 @@ pub(super) fn solve_hierarchical<'py>(
         solver.refine_to(tolerance, progress)?;
         let (mesh, on_faces) = solver.mesh();
         let links = solver.links();
-        let counts = (solver.leaves(), links.found.links.len(), links.nbytes());
+        let counts = (solver.leaves(), links.found.links.len());
         Ok((
             solver.patch_irradiance(),
             mesh,
@@ -44,7 +44,7 @@ pub(super) fn solve_hierarchical<'py>(
             solver.done,
         ))
     };
-    let (irradiance, mesh, on_faces, (leaves, links, nbytes), error, audit, history, done) =
+    let (irradiance, mesh, on_faces, (leaves, links), error, audit, history, done) =
         run(py, threads, progress.as_ref(), work)?;
     let dict = PyDict::new(py);
     dict.set_item("irradiance", table(py, irradiance, bands)?)?;
@@ -57,7 +57,6 @@ pub(super) fn solve_hierarchical<'py>(
     dict.set_item("on_faces", table(py, on_faces, bands)?)?;
     dict.set_item("leaves", leaves)?;
     dict.set_item("links", links)?;
-    dict.set_item("nbytes", nbytes)?;
     dict.set_item("segments", done.segments)?;
     dict.set_item("stopped", done.stopped)?;
     dict.set_item("out_of_memory", done.out_of_memory)?;

@@ -1,4 +1,4 @@
-//! Scenes from which no light escapes, and an operator that loses none.
+//! Scenes from which no light escapes, and an operator that loses none of it there, and makes none anywhere.
 //!
 //! In a closed scene every row of F sums to 1. Links miss that by a part of their error, of one sign where they miss the same
 //! near fields; and where reflectance is rho, what is missing counts up to 1 / (1 - rho) times. What a leaf should have received
@@ -6,7 +6,9 @@
 //!
 //!   F'_ii = F_ii + 1 - sum over j of F_ij
 //!
-//! Reciprocity is as exact as before, and light that is the same everywhere stays so: a furnace is solved exactly.
+//! Reciprocity is as exact as before, and light that is the same everywhere stays so: a furnace is solved exactly. In an open
+//! scene nobody knows what rows sum to, but never to more than 1: what is above is taken away, or light would grow without end in
+//! a white room with a small hole.
 
 use rayon::prelude::*;
 
@@ -22,7 +24,8 @@ use crate::visibility::Bvh;
 const RAYS: usize = 8;
 const LEAST_RAYS: usize = 1 << 14;
 
-/// Whether every ray from a scene's patches arrives at the front of another.
+/// Whether every ray of a sample from a scene's patches arrives at the front of another: a hole of less than about 1 / (number
+/// of rays) of the walls may stay unseen.
 pub fn is_closed(scene: &Scene, seed: u64) -> bool {
     let tree = Bvh::of_scene(scene);
     let count = RAYS.max(LEAST_RAYS.div_ceil(scene.len())) as u32;
@@ -41,18 +44,27 @@ pub fn is_closed(scene: &Scene, seed: u64) -> bool {
     })
 }
 
-/// Links of which every row sums to 1.
-pub struct Closed<'a> {
+/// Links of which no row sums to more than 1, and in a closed scene none to less.
+pub struct Balanced<'a> {
     links: &'a Links,
-    /// For every row of the links what its leaf lacks of light that is 1 everywhere.
-    missing: Vec<f64>,
+    /// For every row of the links what its leaf gets from itself of light that is 1 everywhere.
+    given: Vec<f64>,
+    /// What is still missing then, and has left the scene.
+    pub left: Vec<f64>,
 }
 
-impl<'a> Closed<'a> {
+impl<'a> Balanced<'a> {
     /// Measures what is missing.
-    pub fn new(links: &'a Links) -> Closed<'a> {
+    pub fn new(links: &'a Links, is_closed: bool) -> Balanced<'a> {
         let missing = links.missing();
-        Closed { links, missing }
+        let given: Vec<f64> = if is_closed {
+            missing.clone()
+        } else {
+            let excess = |(missing, row): (&f64, &(u32, u32))| if row.1 == 0 { missing.min(0.0) } else { 0.0 };
+            missing.iter().zip(links.rows()).map(excess).collect()
+        };
+        let left = missing.iter().zip(&given).map(|(missing, given)| missing - given).collect();
+        Balanced { links, given, left }
     }
 
     /// The first row of the leaf of row r.
@@ -62,19 +74,19 @@ impl<'a> Closed<'a> {
 
     /// Adds what leaf rows `r`.. receive from themselves.
     fn add(&self, x: &[f64], bands: usize, out: &mut [f64]) {
-        for (r, missing) in self.missing.iter().enumerate() {
+        for (r, given) in self.given.iter().enumerate() {
             let first = self.first(r);
             for b in 0..bands {
-                out[r * bands + b] += missing * x[first * bands + b];
+                out[r * bands + b] += given * x[first * bands + b];
                 if r != first {
-                    out[first * bands + b] += missing * x[r * bands + b];
+                    out[first * bands + b] += given * x[r * bands + b];
                 }
             }
         }
     }
 }
 
-impl FormFactors for Closed<'_> {
+impl FormFactors for Balanced<'_> {
     fn len(&self) -> usize {
         self.links.len()
     }
@@ -113,6 +125,6 @@ impl FormFactors for Closed<'_> {
     }
 
     fn nbytes(&self) -> usize {
-        self.links.nbytes() + size_of_val(self.missing.as_slice())
+        self.links.nbytes() + size_of_val(self.given.as_slice()) + size_of_val(self.left.as_slice())
     }
 }
