@@ -11,6 +11,7 @@ __all__ = [
     "assess",
     "forecast_scene",
     "form_factor",
+    "gather",
     "pair_form_factors",
     "render",
     "solve",
@@ -183,6 +184,22 @@ def assess(
     progress: _Report | None,
 ) -> tuple[float, int]: ...
 def ambient(areas: _Floats, unshot: _Floats, reflectance: _Floats) -> _Floats: ...
+def gather(
+    scene: Scene,
+    irradiance: _Floats,
+    origin: _Point,
+    target: _Point,
+    up: _Point,
+    fov: float,
+    width: int,
+    height: int,
+    tolerance: float,
+    seed: int,
+    memory: int,
+    on_image: Callable[[_Floats, float], object] | None,
+    threads: int | None,
+    progress: _Report | None,
+) -> tuple[_Floats, float, int, int]: ...
 def render(
     scene: Scene,
     radiosity: _Floats,

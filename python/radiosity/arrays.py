@@ -85,6 +85,13 @@ def whole_number(name: str, value: Any, least: int, most: int) -> int:
     return int(value)
 
 
+def real_number(name: str, value: Any) -> float:
+    """``value`` as a float; ``TypeError`` when it is no real number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+    return float(value)
+
+
 def thread_count(threads: int | None) -> int | None:
     """``threads`` if it is None (all cores) or in 1 .. 1024, else ``TypeError`` or ``ValueError``."""
     return None if threads is None else whole_number("threads", threads, 1, MOST_THREADS)

@@ -5,20 +5,22 @@ from __future__ import annotations
 import math
 import os
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _core
-from .arrays import FloatArray, real_array, shaped, thread_count, whole_number
+from .arrays import FloatArray, real_array, real_number, shaped, thread_count, whole_number
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .solution import Solution
 
-SHADINGS = ("flat", "smooth")
+SHADINGS = ("flat", "smooth", "gather")
+OnImage: TypeAlias = Callable[[FloatArray, float], object]
 FORMATS = (".png", ".exr")
 
 
@@ -65,6 +67,9 @@ def render(
     width: int = 512,
     height: int = 512,
     shading: str = "smooth",
+    tolerance: float = 0.02,
+    seed: int = 0,
+    on_image: OnImage | None = None,
     threads: int | None = None,
     progress: Progress = True,
 ) -> FloatArray:
@@ -76,7 +81,15 @@ def render(
         width: pixels a row.
         height: rows.
         shading: ``"flat"``, one radiosity a patch as it was solved; ``"smooth"``, the irradiance interpolated between
-            the corners of patches that form one surface, so that neither lamps nor paints leak over their borders.
+            the corners of patches that form one surface, so that neither lamps nor paints leak over their borders;
+            ``"gather"``, the light that arrives at every pixel (final gather): straight from the lamps, with sharp and
+            soft shadows as they are, and by rays that carry what the solution says of where they end. The patches are
+            no longer seen, and a coarse solution makes a good picture.
+        tolerance: of ``"gather"``: relative error from sampling, RMS over the pixels in which no emitter is seen, the
+            worst band; in (0, 1). What the solution is wrong by comes on top of it.
+        seed: of the quasi-random points of ``"gather"``.
+        on_image: of ``"gather"``: called as ``on_image(image, error)`` after every pass, with the picture so far and
+            the estimate of its error. An exception that it raises stops the rendering and is passed on.
         threads: None for all cores.
         progress: see :mod:`radiosity.progress`.
 
@@ -89,7 +102,8 @@ def render(
         MemoryError: the image would not fit.
 
     Sources:
-        Gouraud 1971; Cohen & Greenberg 1985, section 7.
+        Gouraud 1971; Cohen & Greenberg 1985, section 7; final gather: Reichert 1992; Lischinski, Tampieri & Greenberg
+        1993; Ward, Rubinstein & Clear 1988.
     """
     if not isinstance(solution, Solution):
         raise TypeError(f"solution must be a radiosity.Solution, not {type(solution).__name__}")
@@ -103,6 +117,24 @@ def render(
         raise ValueError(f"unknown shading {shading!r}; the shadings are {SHADINGS}")
     width, height = (whole_number(name, size, 1, 1 << 20) for name, size in (("width", width), ("height", height)))
     with reporter(progress, "render") as report:
+        if shading == "gather":
+            image, _, _, _ = _core.gather(
+                solution.scene._core,
+                solution.irradiance,
+                camera.origin,
+                camera.target,
+                camera.up,
+                float(camera.fov),
+                width,
+                height,
+                real_number("tolerance", tolerance),
+                whole_number("seed", seed, 0, 2**64 - 1),
+                available_bytes(),
+                on_image,
+                thread_count(threads),
+                report,
+            )
+            return image
         return _core.render(
             solution.scene._core,
             solution.radiosity,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from . import _core
-from .arrays import FloatArray, IntArray, per_patch, read_only, real_array, shaped, thread_count, whole_number
+from .arrays import FloatArray, IntArray, per_patch, read_only, real_array, real_number, shaped, thread_count, whole_number
 from .form_factors import FormFactors, form_factors_as_reached
 from .memory import available_bytes
 from .progress import Progress, reporter
@@ -269,9 +269,7 @@ def _check(scene: Scene, tolerance: float, method: str, order: int) -> None:
         raise ValueError(
             f"unknown method {method!r}; the methods of solve are {METHODS}; solvers are chosen in solve_system"
         )
-    if isinstance(tolerance, bool) or not isinstance(tolerance, (int, float, np.number)):
-        raise TypeError(f"tolerance must be a number, not {type(tolerance).__name__}")
-    if not 0.0 < float(tolerance) < 1.0:
+    if not 0.0 < real_number("tolerance", tolerance) < 1.0:
         raise ValueError(f"tolerance {tolerance} is outside (0, 1)")
     if order not in (0, 1):
         raise ValueError(f"order {order!r} is neither 0 (constant on a patch) nor 1 (linear)")

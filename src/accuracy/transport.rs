@@ -147,13 +147,10 @@ impl<'a> Transport<'a> {
         let hits = self.ground.tree.closest(&rays);
         let arrived = numbers.into_iter().zip(rays).zip(hits).filter_map(|((number, ray), hit)| {
             let hit = hit?;
-            let normal = self.scene.normals()[hit.patch as usize];
-            if normal.dot(ray.direction) >= 0.0 {
+            let point = Point::of_hit(self.scene, &hit);
+            if point.normal.dot(ray.direction) >= 0.0 {
                 return None;
             }
-            let [a, b, c] = self.scene.triangle(hit.patch as usize);
-            let [v, w] = hit.barycentric;
-            let point = Point { x: a + v * (b - a) + w * (c - a), normal, patch: hit.patch };
             Some(Arrival { ray: number, point, barycentric: hit.barycentric })
         });
         arrived.collect()

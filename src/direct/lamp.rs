@@ -15,8 +15,10 @@ use crate::form_factor::point_to_polygon::{form_factor, gathered};
 use crate::geometry::polygon::{Plane, area_vector, centre, clip_to_front};
 use crate::geometry::sampling::point_in_triangle;
 use crate::geometry::{Triangle, Vec3};
+use crate::scene::Scene;
 use crate::simd::double::{Double, LANES, Vectors};
 use crate::simd::{Instructions, Machine, for_every_machine};
+use crate::visibility::Hit;
 
 /// Points closer than this many radii see the lamp under so different distances that they sample its solid angle.
 const NEAR: f64 = 2.0;
@@ -32,6 +34,16 @@ pub struct Point {
     pub normal: Vec3,
     /// The patch that it lies on.
     pub patch: u32,
+}
+
+impl Point {
+    /// Where a ray has met a scene.
+    #[inline]
+    pub fn of_hit(scene: &Scene, hit: &Hit) -> Point {
+        let [a, b, c] = scene.triangle(hit.patch as usize);
+        let [v, w] = hit.barycentric;
+        Point { x: a + v * (b - a) + w * (c - a), normal: scene.normals()[hit.patch as usize], patch: hit.patch }
+    }
 }
 
 /// A flat convex polygon that emits evenly.

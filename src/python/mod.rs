@@ -26,7 +26,7 @@ mod _core {
     #[pymodule_export]
     use super::hierarchy::solve_hierarchical;
     #[pymodule_export]
-    use super::render::render;
+    use super::render::{gather, render};
     #[pymodule_export]
     use super::scene::Scene;
     #[pymodule_export]

@@ -7,12 +7,12 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use rayon::prelude::*;
 
 use super::Camera;
-use crate::error::{Error, Result};
+use super::sight::{Sight, check_size};
+use crate::error::Result;
 use crate::geometry::Vec3;
 use crate::geometry::sampling::{Sobol, hash};
 use crate::progress::Progress;
@@ -66,34 +66,19 @@ pub fn render(
     memory: u64,
     progress: &Progress,
 ) -> Result<Vec<f64>> {
-    let Image { width, height, shading } = image;
-    if width == 0 || height == 0 {
-        return Err(Error::Invalid(format!("an image of {width} x {height} pixels is empty; both must be at least 1")));
-    }
-    let bands = scene.bands();
+    let (Image { width, height, shading }, bands) = (image, scene.bands());
     // The image, and the copy that the caller makes of it.
-    let needed = [width, height, bands].iter().fold(16u64, |bytes, &k| bytes.saturating_mul(k as u64));
-    if needed > memory {
-        return Err(Error::Memory {
-            what: format!("an image of {width} x {height} pixels in {bands} bands"),
-            needed,
-            available: memory,
-            remedy: "choose fewer pixels".to_string(),
-        });
-    }
+    check_size([width, height, bands], 16, memory)?;
     let corners = match shading {
         Shading::Flat => Vec::new(),
         Shading::Smooth => corner_irradiance(scene, irradiance),
     };
-    // Whether any ray met a front, and the lowest number of the patches whose backs were met.
-    let (front_seen, back_seen) = (AtomicBool::new(false), AtomicU32::new(NO_PATCH));
+    let sight = Sight::new(scene);
     let add_radiance = |hit: &Hit, direction: Vec3, out: &mut [f64]| {
         let i = hit.patch as usize;
-        if scene.normals()[i].dot(direction) >= 0.0 {
-            back_seen.fetch_min(hit.patch, Ordering::Relaxed);
+        if !sight.is_front(hit, direction) {
             return;
         }
-        front_seen.store(true, Ordering::Relaxed);
         for (b, out) in out.iter_mut().enumerate() {
             let k = i * bands + b;
             let value = match shading {
@@ -149,23 +134,8 @@ pub fn render(
         }
         progress.advance(1)
     })?;
-    if !front_seen.into_inner() {
-        return Err(nothing_seen(camera, back_seen.into_inner()));
-    }
+    sight.check(camera)?;
     Ok(pixels)
-}
-
-/// A picture without a single front is black: why.
-fn nothing_seen(camera: &Camera, back: u32) -> Error {
-    let origin = camera.origin();
-    Error::Invalid(if back == NO_PATCH {
-        format!("the camera at {origin} looks at nothing: no patch is in its view")
-    } else {
-        format!(
-            "the camera at {origin} sees only the backs of patches (patch {back} among them): it stands inside a wall or a \
-             solid, outside a closed room, or the patches are wound clockwise"
-        )
-    })
 }
 
 /// The irradiance at the three corners of every patch, n x 3 x b.

@@ -1,0 +1,326 @@
+//! Final gather: the light that arrives at every pixel, in place of what a patch has on the average (Reichert 1992; Lischinski,
+//! Tampieri & Greenberg 1993).
+//!
+//!   L = (E + rho (H_direct + H_indirect)) / pi
+//!
+//! H_direct is what the lamps send there: their form factors from the point in closed form, times the fraction of each that is
+//! seen, by segments; pixels where segments disagree, and those around them, get more. H_indirect is gathered by rays that carry
+//! what the solution says of where they end, at few points ([`super::irradiance_cache`]). So the patches show only in light that
+//! has been reflected twice.
+//!
+//! The picture is the mean of two halves that know nothing of each other, each refined pass by pass along its own quasi-random
+//! sequences and on grids moved by chance: half of their difference is the standard error.
+
+use std::f64::consts::PI;
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::Camera;
+use super::irradiance_cache::{Gatherer, IrradianceCache, is_same_surface};
+use super::sight::{Sight, check_size};
+use crate::direct::Lamps;
+use crate::direct::lamp::Point;
+use crate::direct::lamps::Asked;
+use crate::error::{Error, Result};
+use crate::geometry::sampling::{Sobol, hash};
+use crate::progress::Progress;
+use crate::scene::Scene;
+use crate::visibility::{Bvh, NO_PATCH, Ray};
+
+/// What to make, and how well.
+#[derive(Debug, Clone, Copy)]
+pub struct GatherOptions {
+    /// Pixels a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Standard error to reach, relative, RMS over the pixels in which no emitter is seen; in (0, 1).
+    pub tolerance: f64,
+    /// Seed of the quasi-random points.
+    pub seed: u64,
+    /// Bytes that may be used.
+    pub memory: u64,
+}
+
+/// A picture.
+#[derive(Debug, Clone)]
+pub struct Gathered {
+    /// Radiance, W/(m^2 sr), height x width x bands, row 0 on top.
+    pub pixels: Vec<f64>,
+    /// Estimate of its relative error from sampling, the worst band.
+    pub error_estimate: f64,
+    /// Passes over the image.
+    pub passes: usize,
+    /// Rays and segments cast.
+    pub rays: u64,
+}
+
+/// Samples of a pixel in one pass of one half, and of one whose samples disagree.
+const SAMPLES: u32 = 2;
+const SAMPLES_AT_EDGES: u32 = 16;
+/// Size of a cell of the irradiance cache over the mean distance of what is seen, in the first pass; it falls with the square root of
+/// their number, as sampling errors do.
+const DETAIL: f64 = 0.25;
+/// Rays where the cache has no point.
+const RAYS_ALONE: usize = 8;
+/// Pixels that are worked on together.
+const TOGETHER: usize = 256;
+const HALVES: usize = 2;
+/// Passes after which nothing more is to be hoped for.
+const MOST_PASSES: usize = 1 << 14;
+
+/// Gathers light for a picture, pass by pass: `observe(pixels, error estimate)` after each.
+///
+/// `irradiance` is H of the solution, n x b; `tree` must hold all patches of the scene.
+///
+/// # Errors
+/// [`Error::Invalid`] for options out of range, or a camera that sees nothing or only backs; [`Error::Memory`];
+/// [`Error::Interrupted`], and those of `observe`.
+pub fn gather(
+    scene: &Scene,
+    tree: &Bvh,
+    irradiance: &[f64],
+    camera: &Camera,
+    options: &GatherOptions,
+    observe: &mut dyn FnMut(&[f64], f64) -> Result<()>,
+    progress: &Progress,
+) -> Result<Gathered> {
+    let GatherOptions { width, height, tolerance, seed, memory } = *options;
+    if !(tolerance > 0.0 && tolerance < 1.0) {
+        return Err(Error::Invalid(format!("tolerance {tolerance} is outside (0, 1)")));
+    }
+    let bands = scene.bands();
+    // Two sums, a pass, the picture, and copies of it for the caller; a pixel's share of the cache.
+    check_size([width, height, bands], 64, memory)?;
+    let lamps = Lamps::of_scene(scene)?;
+    let blockers = Bvh::of_blockers(scene);
+    let gatherer = Gatherer { scene, tree, lamps: &lamps, irradiance };
+    let view = View { gatherer, blockers: &blockers, camera, width, height, seed, sight: Sight::new(scene) };
+    let mut sums = [(); HALVES].map(|()| vec![0.0; width * height * bands]);
+    let mut emits = vec![false; width * height];
+    let (mut passes, mut rays) = (0, 0);
+    loop {
+        for (half, sums) in sums.iter_mut().enumerate() {
+            rays += view.add(half, passes, sums, &mut emits, progress)?;
+        }
+        view.sight.check(camera)?;
+        passes += 1;
+        let each = 1.0 / (HALVES * passes) as f64;
+        let pixels: Vec<f64> = sums[0].iter().zip(&sums[1]).map(|(a, b)| each * (a + b)).collect();
+        let error_estimate = spread(&sums, &emits, bands);
+        observe(&pixels, error_estimate)?;
+        if error_estimate <= tolerance || passes == MOST_PASSES {
+            return Ok(Gathered { pixels, error_estimate, passes, rays });
+        }
+    }
+}
+
+/// Half of the difference between the halves over their mean, RMS over the pixels in which no emitter is seen, the worst band.
+fn spread(sums: &[Vec<f64>; HALVES], emits: &[bool], bands: usize) -> f64 {
+    let mut totals = vec![[0.0f64; 2]; bands];
+    // In units of the largest, squares neither overflow nor vanish.
+    let unit = sums[0].iter().fold(f64::MIN_POSITIVE, |peak, x| peak.max(x.abs()));
+    for ((a, b), _) in sums[0].chunks(bands).zip(sums[1].chunks(bands)).zip(emits).filter(|(_, emits)| !**emits) {
+        for (total, (a, b)) in totals.iter_mut().zip(a.iter().zip(b)) {
+            let [a, b] = [a / unit, b / unit];
+            total[0] += (a - b).powi(2);
+            total[1] += (a + b).powi(2);
+        }
+    }
+    let relative = |[difference, sum]: [f64; 2]| if sum > 0.0 { (difference / sum).sqrt() } else { 0.0 };
+    totals.into_iter().map(relative).fold(0.0, f64::max)
+}
+
+/// What is looked at.
+struct View<'a> {
+    gatherer: Gatherer<'a>,
+    blockers: &'a Bvh,
+    camera: &'a Camera,
+    width: usize,
+    height: usize,
+    seed: u64,
+    sight: Sight<'a>,
+}
+
+/// What samples have found of one pixel beside its radiance.
+#[derive(Debug, Clone, Copy, Default)]
+struct Found {
+    /// Whether an emitter is seen.
+    emits: bool,
+    /// Whether they met different surfaces, or saw different parts of the lamps.
+    disagree: bool,
+}
+
+impl View<'_> {
+    /// Adds one pass of one half; returns the rays cast.
+    fn add(&self, half: usize, pass: usize, sums: &mut [f64], emits: &mut [bool], progress: &Progress) -> Result<u64> {
+        progress.expect(self.height as u64);
+        let seed = hash(self.seed ^ hash((pass * HALVES + half) as u64));
+        let detail = DETAIL / ((pass + 1) as f64).sqrt();
+        let size = [self.width, self.height];
+        let cache = IrradianceCache::new(&self.gatherer, self.camera, size, detail, seed, progress)?;
+        let mut pixels = vec![0.0; sums.len()];
+        let mut found = vec![Found::default(); emits.len()];
+        let numbers = |count: u32| pass as u32 * count..(pass as u32 + 1) * count;
+        let stream = |k: usize| hash(self.seed ^ hash((2 * half + k) as u64));
+        let mut rays = cache.rays;
+        rays += self.look_at(&cache, |_| true, numbers(SAMPLES), stream(0), &mut pixels, &mut found, progress)?;
+        let uneven = self.around(&found);
+        let again = numbers(SAMPLES_AT_EDGES);
+        rays += self.look_at(&cache, |pixel| uneven[pixel], again, stream(1), &mut pixels, &mut found, progress)?;
+        sums.iter_mut().zip(&pixels).for_each(|(sum, value)| *sum += value);
+        emits.iter_mut().zip(&found).for_each(|(emits, found)| *emits |= found.emits);
+        progress.advance(self.height as u64)?;
+        Ok(rays)
+    }
+
+    /// Replaces the radiance of the wanted pixels by that of samples number `numbers`; returns the rays cast.
+    #[expect(clippy::too_many_arguments, reason = "of one caller")]
+    fn look_at(
+        &self,
+        cache: &IrradianceCache,
+        wanted: impl Fn(usize) -> bool + Sync,
+        numbers: Range<u32>,
+        stream: u64,
+        pixels: &mut [f64],
+        found: &mut [Found],
+        progress: &Progress,
+    ) -> Result<u64> {
+        let (width, bands) = (self.width, self.gatherer.scene.bands());
+        let of_row = |(y, (row, found)): (usize, (&mut [f64], &mut [Found]))| -> Result<u64> {
+            progress.advance(0)?;
+            let wanted: Vec<usize> = (y * width..(y + 1) * width).filter(|&pixel| wanted(pixel)).collect();
+            let mut rays = 0;
+            for part in wanted.chunks(TOGETHER) {
+                let (radiance, seen, cast) = self.look(cache, part, numbers.clone(), stream);
+                for ((&pixel, radiance), seen) in part.iter().zip(radiance.chunks_exact(bands)).zip(seen) {
+                    let x = pixel - y * width;
+                    row[x * bands..][..bands].copy_from_slice(radiance);
+                    found[x] = Found { emits: found[x].emits || seen.emits, ..seen };
+                }
+                rays += cast;
+            }
+            Ok(rays)
+        };
+        let rows = pixels.par_chunks_mut(width * bands).zip(found.par_chunks_mut(width)).enumerate();
+        let rays: Result<Vec<u64>> = rows.map(of_row).collect();
+        Ok(rays?.into_iter().sum())
+    }
+
+    /// The pixels whose samples disagree, and those around them: few samples agree by chance.
+    fn around(&self, found: &[Found]) -> Vec<bool> {
+        let (width, height) = (self.width, self.height);
+        let near = |k: usize, size: usize| k.saturating_sub(1)..(k + 2).min(size);
+        let is_near = |k: usize| {
+            let (x, y) = (k % width, k / width);
+            near(y, height).any(|y| near(x, width).any(|x| found[y * width + x].disagree))
+        };
+        (0..found.len()).into_par_iter().map(is_near).collect()
+    }
+
+    /// The radiance of some pixels by samples number `numbers` of each, what else they found, and the rays cast.
+    fn look(
+        &self,
+        cache: &IrradianceCache,
+        pixels: &[usize],
+        numbers: Range<u32>,
+        stream: u64,
+    ) -> (Vec<f64>, Vec<Found>, u64) {
+        let Gatherer { scene, tree, lamps, .. } = self.gatherer;
+        let (bands, each) = (scene.bands(), numbers.len());
+        // Rays through the pixels, and what they meet.
+        let sample = |&pixel: &usize| {
+            let sobol: Sobol<4> = Sobol::new(stream ^ hash(pixel as u64));
+            numbers.clone().map(move |k| sobol.point(k))
+        };
+        let samples: Vec<[f64; 4]> = pixels.iter().flat_map(sample).collect();
+        let place = |k: usize| {
+            let pixel = pixels[k / each];
+            [(pixel % self.width) as f64 + samples[k][0], (pixel / self.width) as f64 + samples[k][1]]
+        };
+        let ray = |k: usize| {
+            let [x, y] = place(k);
+            let direction = self.camera.direction(x, y, self.width, self.height);
+            Ray { origin: self.camera.origin(), direction, exclude: NO_PATCH }
+        };
+        let rays: Vec<Ray> = (0..samples.len()).map(ray).collect();
+        let (mut of, mut points) = (Vec::with_capacity(rays.len()), Vec::with_capacity(rays.len()));
+        let mut found = vec![Found::default(); pixels.len()];
+        for (k, (ray, hit)) in rays.iter().zip(tree.closest(&rays)).enumerate() {
+            match hit.filter(|hit| self.sight.is_front(hit, ray.direction)) {
+                Some(hit) => {
+                    of.push(k);
+                    points.push(Point::of_hit(scene, &hit));
+                }
+                None => found[k / each].disagree = true,
+            }
+        }
+        if points.is_empty() {
+            // Nothing at all is no disagreement.
+            return (vec![0.0; pixels.len() * bands], vec![Found::default(); pixels.len()], rays.len() as u64);
+        }
+        // Points of one pixel on one surface see the same of the lamps.
+        let (mut surfaces, mut first): (Vec<usize>, usize) = (Vec::with_capacity(points.len()), 0);
+        let mut representatives: Vec<usize> = Vec::new();
+        for (m, point) in points.iter().enumerate() {
+            if m > 0 && of[m] / each != of[m - 1] / each {
+                first = representatives.len();
+            }
+            let own = (first..representatives.len()).find(|&s| is_same_surface(&points[representatives[s]], point));
+            surfaces.push(own.unwrap_or(representatives.len()));
+            if own.is_none() {
+                found[of[m] / each].disagree |= representatives.len() > first;
+                representatives.push(m);
+            }
+        }
+        let factors = lamps.form_factors(&points);
+        let count = lamps.lamps.len();
+        let mut seen = vec![[0.0; 2]; representatives.len() * count];
+        let mut cast = rays.len();
+        if !self.blockers.is_empty() {
+            let (asked, segments) = lamps.ask(&points, &factors, |m| [samples[of[m]][2], samples[of[m]][3]]);
+            cast += segments.len();
+            for (Asked { point, lamp, weight }, blocked) in asked.into_iter().zip(self.blockers.blocked(&segments)) {
+                let [visible, all] = &mut seen[surfaces[point] * count + lamp];
+                *all += weight;
+                *visible += if blocked { 0.0 } else { weight };
+            }
+        }
+        let fractions: Vec<f64> = seen.chunks(count.max(1)).flat_map(fractions).collect();
+        let mut radiance = vec![0.0; pixels.len() * bands];
+        let mut arriving = vec![0.0; bands];
+        for (m, point) in points.iter().enumerate() {
+            let (pixel, i) = (of[m] / each, point.patch as usize * bands);
+            arriving.fill(0.0);
+            for (l, lamp) in lamps.lamps.iter().enumerate() {
+                let fraction = fractions[surfaces[m] * count + l];
+                found[pixel].disagree |= fraction > 0.0 && fraction < 1.0;
+                let f = factors[l * points.len() + m] * fraction;
+                arriving.iter_mut().zip(&lamp.emission).for_each(|(h, e)| *h += f * e);
+            }
+            if !cache.add(place(of[m]), point, &mut arriving) {
+                self.gatherer.gather(
+                    &[*point],
+                    RAYS_ALONE,
+                    &[hash(stream ^ hash((pixels[pixel] * each + m) as u64))],
+                    &mut arriving,
+                );
+                cast += RAYS_ALONE;
+            }
+            for (b, out) in radiance[pixel * bands..][..bands].iter_mut().enumerate() {
+                let e = scene.emission()[i + b];
+                found[pixel].emits |= e > 0.0;
+                *out += (e + scene.reflectance()[i + b] * arriving[b]) / (PI * each as f64);
+            }
+        }
+        (radiance, found, cast as u64)
+    }
+}
+
+/// The visible fraction of every lamp by (visible, all) of the weights asked: that of all together for those which nobody asked.
+fn fractions(seen: &[[f64; 2]]) -> Vec<f64> {
+    let [visible, all] = seen.iter().fold([0.0, 0.0], |[v, a], seen| [v + seen[0], a + seen[1]]);
+    let together = if all > 0.0 { visible / all } else { 1.0 };
+    seen.iter().map(|[visible, all]| if *all > 0.0 { visible / all } else { together }).collect()
+}

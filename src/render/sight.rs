@@ -1,0 +1,67 @@
+//! What a camera sees: the first patch on each of its rays, and whether there was anything to see at all.
+
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use super::Camera;
+use crate::error::{Error, Result};
+use crate::geometry::Vec3;
+use crate::scene::Scene;
+use crate::visibility::{Hit, NO_PATCH};
+
+/// Whether any ray has met a front, and the lowest number of the patches whose backs were met.
+pub(super) struct Sight<'a> {
+    scene: &'a Scene,
+    front: AtomicBool,
+    back: AtomicU32,
+}
+
+impl<'a> Sight<'a> {
+    pub(super) fn new(scene: &'a Scene) -> Sight<'a> {
+        Sight { scene, front: AtomicBool::new(false), back: AtomicU32::new(NO_PATCH) }
+    }
+
+    /// Whether a ray has met the front of a patch.
+    #[inline]
+    pub(super) fn is_front(&self, hit: &Hit, direction: Vec3) -> bool {
+        let is_front = self.scene.normals()[hit.patch as usize].dot(direction) < 0.0;
+        if is_front {
+            self.front.store(true, Ordering::Relaxed);
+        } else {
+            self.back.fetch_min(hit.patch, Ordering::Relaxed);
+        }
+        is_front
+    }
+
+    /// A picture without a single front is black: refuses it, and says why.
+    pub(super) fn check(&self, camera: &Camera) -> Result<()> {
+        let (origin, back) = (camera.origin(), self.back.load(Ordering::Relaxed));
+        if self.front.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        Err(Error::Invalid(if back == NO_PATCH {
+            format!("the camera at {origin} looks at nothing: no patch is in its view")
+        } else {
+            format!(
+                "the camera at {origin} sees only the backs of patches (patch {back} among them): it stands inside a wall \
+                 or a solid, outside a closed room, or the patches are wound clockwise"
+            )
+        }))
+    }
+}
+
+/// Refuses an image without pixels, and one of more than `memory` bytes at `bytes` for every pixel and band.
+pub(super) fn check_size([width, height, bands]: [usize; 3], bytes: u64, memory: u64) -> Result<()> {
+    if width == 0 || height == 0 {
+        return Err(Error::Invalid(format!("an image of {width} x {height} pixels is empty; both must be at least 1")));
+    }
+    let needed = [width, height, bands].iter().fold(bytes, |bytes, &k| bytes.saturating_mul(k as u64));
+    if needed <= memory {
+        return Ok(());
+    }
+    Err(Error::Memory {
+        what: format!("an image of {width} x {height} pixels in {bands} bands"),
+        needed,
+        available: memory,
+        remedy: "choose fewer pixels".to_string(),
+    })
+}
