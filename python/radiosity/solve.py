@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from . import _core
-from .arrays import FloatArray, IntArray, per_patch, read_only, real_array, real_number, shaped, thread_count, whole_number
+from .arrays import (
+    FloatArray,
+    IntArray,
+    per_patch,
+    read_only,
+    real_array,
+    real_number,
+    shaped,
+    thread_count,
+    whole_number,
+)
 from .form_factors import FormFactors, form_factors_as_reached
 from .memory import available_bytes
 from .progress import Progress, reporter

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 
 use super::Camera;
 use super::irradiance_cache::{Gatherer, IrradianceCache, is_same_surface};
-use super::sight::{Sight, check_size};
+use super::sight::{Sight, around, check_size};
 use crate::direct::Lamps;
 use crate::direct::lamp::Point;
 use crate::direct::lamps::Asked;
@@ -60,8 +60,9 @@ pub struct Gathered {
 const SAMPLES: u32 = 2;
 const SAMPLES_AT_EDGES: u32 = 16;
 /// Size of a cell of the irradiance cache over the mean distance of what is seen, in the first pass; it falls with the square root of
-/// their number, as sampling errors do.
-const DETAIL: f64 = 0.25;
+/// their number, as sampling errors do, down to a part of it: where all cells are the smallest, rays are spread too thin.
+const DETAIL: f64 = 0.6;
+const FINEST: f64 = 4.0;
 /// Rays where the cache has no point.
 const RAYS_ALONE: usize = 8;
 /// Pixels that are worked on together.
@@ -157,7 +158,7 @@ impl View<'_> {
     fn add(&self, half: usize, pass: usize, sums: &mut [f64], emits: &mut [bool], progress: &Progress) -> Result<u64> {
         progress.expect(self.height as u64);
         let seed = hash(self.seed ^ hash((pass * HALVES + half) as u64));
-        let detail = DETAIL / ((pass + 1) as f64).sqrt();
+        let detail = DETAIL / ((pass + 1) as f64).sqrt().min(FINEST);
         let size = [self.width, self.height];
         let cache = IrradianceCache::new(&self.gatherer, self.camera, size, detail, seed, progress)?;
         let mut pixels = vec![0.0; sums.len()];
@@ -166,7 +167,8 @@ impl View<'_> {
         let stream = |k: usize| hash(self.seed ^ hash((2 * half + k) as u64));
         let mut rays = cache.rays;
         rays += self.look_at(&cache, |_| true, numbers(SAMPLES), stream(0), &mut pixels, &mut found, progress)?;
-        let uneven = self.around(&found);
+        let disagree: Vec<bool> = found.iter().map(|found| found.disagree).collect();
+        let uneven = around(&disagree, self.width);
         let again = numbers(SAMPLES_AT_EDGES);
         rays += self.look_at(&cache, |pixel| uneven[pixel], again, stream(1), &mut pixels, &mut found, progress)?;
         sums.iter_mut().zip(&pixels).for_each(|(sum, value)| *sum += value);
@@ -206,17 +208,6 @@ impl View<'_> {
         let rows = pixels.par_chunks_mut(width * bands).zip(found.par_chunks_mut(width)).enumerate();
         let rays: Result<Vec<u64>> = rows.map(of_row).collect();
         Ok(rays?.into_iter().sum())
-    }
-
-    /// The pixels whose samples disagree, and those around them: few samples agree by chance.
-    fn around(&self, found: &[Found]) -> Vec<bool> {
-        let (width, height) = (self.width, self.height);
-        let near = |k: usize, size: usize| k.saturating_sub(1)..(k + 2).min(size);
-        let is_near = |k: usize| {
-            let (x, y) = (k % width, k / width);
-            near(y, height).any(|y| near(x, width).any(|x| found[y * width + x].disagree))
-        };
-        (0..found.len()).into_par_iter().map(is_near).collect()
     }
 
     /// The radiance of some pixels by samples number `numbers` of each, what else they found, and the rays cast.
@@ -300,12 +291,9 @@ impl View<'_> {
                 arriving.iter_mut().zip(&lamp.emission).for_each(|(h, e)| *h += f * e);
             }
             if !cache.add(place(of[m]), point, &mut arriving) {
-                self.gatherer.gather(
-                    &[*point],
-                    RAYS_ALONE,
-                    &[hash(stream ^ hash((pixels[pixel] * each + m) as u64))],
-                    &mut arriving,
-                );
+                let number = u64::from(numbers.start) + (of[m] % each) as u64;
+                let seed = hash(stream ^ hash((pixels[pixel] as u64) << 32 | number));
+                self.gatherer.gather(&[*point], RAYS_ALONE, &[seed], &mut arriving);
                 cast += RAYS_ALONE;
             }
             for (b, out) in radiance[pixel * bands..][..bands].iter_mut().enumerate() {

@@ -2,6 +2,8 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
+use rayon::prelude::*;
+
 use super::Camera;
 use crate::error::{Error, Result};
 use crate::geometry::Vec3;
@@ -64,4 +66,15 @@ pub(super) fn check_size([width, height, bands]: [usize; 3], bytes: u64, memory:
         available: memory,
         remedy: "choose fewer pixels".to_string(),
     })
+}
+
+/// The marked pixels of an image with rows of `width`, and those around them: few samples of a pixel agree by chance.
+pub(super) fn around(marked: &[bool], width: usize) -> Vec<bool> {
+    let height = marked.len() / width;
+    let near = |k: usize, size: usize| k.saturating_sub(1)..(k + 2).min(size);
+    let is_near = |k: usize| {
+        let (x, y) = (k % width, k / width);
+        near(y, height).any(|y| near(x, width).any(|x| marked[y * width + x]))
+    };
+    (0..marked.len()).into_par_iter().map(is_near).collect()
 }

@@ -11,9 +11,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::Camera;
-use super::sight::{Sight, check_size};
+use super::sight::{Sight, around, check_size};
 use crate::error::Result;
-use crate::geometry::Vec3;
 use crate::geometry::sampling::{Sobol, hash};
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -42,9 +41,10 @@ pub struct Image {
 /// Cosine of the largest angle between patches that are shaded as one surface: 40 degrees keeps boxes sharp and coarse
 /// spheres round.
 const CREASE: f64 = 0.766;
-/// Rays through every pixel, and through pixels in which these meet different patches.
-const RAYS: u32 = 8;
-const RAYS_AT_EDGES: u32 = 32;
+/// Rays through every pixel, and through those where the radiance of two rays differs by more than this part.
+const RAYS: u32 = 2;
+const RAYS_AT_EDGES: u32 = 16;
+const EVEN: f64 = 0.05;
 /// Pixels whose rays are cast together.
 const TOGETHER: usize = 128;
 
@@ -74,62 +74,72 @@ pub fn render(
         Shading::Smooth => corner_irradiance(scene, irradiance),
     };
     let sight = Sight::new(scene);
-    let add_radiance = |hit: &Hit, direction: Vec3, out: &mut [f64]| {
-        let i = hit.patch as usize;
-        if !sight.is_front(hit, direction) {
-            return;
-        }
-        for (b, out) in out.iter_mut().enumerate() {
-            let k = i * bands + b;
-            let value = match shading {
-                Shading::Flat => radiosity[k],
-                Shading::Smooth => {
-                    let [v, w] = hit.barycentric;
-                    let corner = |c: usize| corners[(3 * i + c) * bands + b];
-                    let h = (1.0 - v - w) * corner(0) + v * corner(1) + w * corner(2);
-                    scene.emission()[k] + scene.reflectance()[k] * h
-                }
-            };
-            *out += value / std::f64::consts::PI;
-        }
+    let radiance = |hit: &Hit, b: usize| {
+        let k = hit.patch as usize * bands + b;
+        let value = match shading {
+            Shading::Flat => radiosity[k],
+            Shading::Smooth => {
+                let [v, w] = hit.barycentric;
+                let corner = |c: usize| corners[(3 * hit.patch as usize + c) * bands + b];
+                let h = (1.0 - v - w) * corner(0) + v * corner(1) + w * corner(2);
+                scene.emission()[k] + scene.reflectance()[k] * h
+            }
+        };
+        value / std::f64::consts::PI
     };
     let mut pixels = vec![0.0; width * height * bands];
     progress.expect(height as u64);
-    pixels.par_chunks_mut(width * bands).enumerate().try_for_each(|(y, row)| {
-        for (part, pixels) in row.chunks_mut(TOGETHER * bands).enumerate() {
-            let all: Vec<usize> = (0..pixels.len() / bands).collect();
-            // Adds rays number `numbers` through these columns of the part; tells which of them meet different patches.
-            let mut cast = |columns: &[usize], numbers: Range<u32>| -> Vec<bool> {
-                let mut rays = Vec::with_capacity(columns.len() * numbers.len());
-                for &column in columns {
-                    let x = part * TOGETHER + column;
-                    let sobol = Sobol::new(hash((y * width + x) as u64));
-                    rays.extend(numbers.clone().map(|k| {
-                        let [u, v] = sobol.point(k);
-                        let direction = camera.direction(x as f64 + u, y as f64 + v, width, height);
-                        Ray { origin: camera.origin(), direction, exclude: NO_PATCH }
-                    }));
+    // The sum of rays number `numbers` through these pixels, and whether they differ.
+    let cast = |wanted: &[usize], numbers: Range<u32>, sums: &mut [f64]| -> Vec<bool> {
+        let through = |&pixel: &usize| {
+            let sobol = Sobol::new(hash(pixel as u64));
+            numbers.clone().map(move |k| {
+                let [u, v] = sobol.point(k);
+                let [x, y] = [pixel % width, pixel / width].map(|x| x as f64);
+                let direction = camera.direction(x + u, y + v, width, height);
+                Ray { origin: camera.origin(), direction, exclude: NO_PATCH }
+            })
+        };
+        let rays: Vec<Ray> = wanted.iter().flat_map(through).collect();
+        let hits = bvh.closest(&rays);
+        let groups = rays.chunks_exact(numbers.len()).zip(hits.chunks_exact(numbers.len()));
+        let of_pixel = |((rays, hits), sums): ((&[Ray], &[Option<Hit>]), &mut [f64])| {
+            let fronts = rays.iter().zip(hits).map(|(ray, hit)| hit.filter(|hit| sight.is_front(hit, ray.direction)));
+            let fronts: Vec<Option<Hit>> = fronts.collect();
+            let range = |b: usize| {
+                let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+                for value in fronts.iter().map(|hit| hit.as_ref().map_or(0.0, |hit| radiance(hit, b))) {
+                    sums[b] += value;
+                    (low, high) = (low.min(value), high.max(value));
                 }
-                let hits = bvh.closest(&rays);
-                let (rays, hits) = (rays.chunks_exact(numbers.len()), hits.chunks_exact(numbers.len()));
-                let pixel_of = |column: usize| column * bands..(column + 1) * bands;
-                columns
-                    .iter()
-                    .zip(rays.zip(hits))
-                    .map(|(&column, (rays, hits))| {
-                        let met = rays.iter().zip(hits).filter_map(|(ray, hit)| Some((ray, hit.as_ref()?)));
-                        met.for_each(|(ray, hit)| add_radiance(hit, ray.direction, &mut pixels[pixel_of(column)]));
-                        let patch = |hit: &Option<Hit>| hit.map(|hit| hit.patch);
-                        hits.iter().any(|hit| patch(hit) != patch(&hits[0]))
-                    })
-                    .collect()
+                high - low > EVEN * high.abs().max(low.abs())
             };
-            let at_edge = cast(&all, 0..RAYS);
-            let edges: Vec<usize> = all.into_iter().filter(|&column| at_edge[column]).collect();
-            cast(&edges, RAYS..RAYS_AT_EDGES);
-            for (pixel, at_edge) in pixels.chunks_exact_mut(bands).zip(at_edge) {
-                let rays = if at_edge { RAYS_AT_EDGES } else { RAYS };
-                pixel.iter_mut().for_each(|value| *value /= f64::from(rays));
+            // Every band has to be summed.
+            (0..bands).map(range).fold(false, |any, differs| any | differs)
+        };
+        groups.zip(sums.chunks_exact_mut(bands)).map(of_pixel).collect()
+    };
+    let mut differs = vec![false; width * height];
+    let rows = pixels.par_chunks_mut(width * bands).zip(differs.par_chunks_mut(width)).enumerate();
+    rows.try_for_each(|(y, (row, differs))| {
+        for (part, (sums, differs)) in row.chunks_mut(TOGETHER * bands).zip(differs.chunks_mut(TOGETHER)).enumerate() {
+            let first = y * width + part * TOGETHER;
+            let all: Vec<usize> = (first..first + differs.len()).collect();
+            differs.copy_from_slice(&cast(&all, 0..RAYS, sums));
+        }
+        row.iter_mut().for_each(|sum| *sum /= f64::from(RAYS));
+        progress.advance(0)
+    })?;
+    let uneven = around(&differs, width);
+    pixels.par_chunks_mut(width * bands).enumerate().try_for_each(|(y, row)| {
+        let wanted: Vec<usize> = (y * width..(y + 1) * width).filter(|pixel| uneven[*pixel]).collect();
+        for wanted in wanted.chunks(TOGETHER) {
+            let mut more = vec![0.0; wanted.len() * bands];
+            cast(wanted, RAYS..RAYS_AT_EDGES, &mut more);
+            for (&pixel, more) in wanted.iter().zip(more.chunks_exact(bands)) {
+                for (value, more) in row[(pixel - y * width) * bands..][..bands].iter_mut().zip(more) {
+                    *value = (*value * f64::from(RAYS) + more) / f64::from(RAYS_AT_EDGES);
+                }
             }
         }
         progress.advance(1)

@@ -9,6 +9,7 @@ mod assembly;
 mod bodies;
 mod common;
 mod direct;
+mod final_gather;
 mod form_factor;
 mod form_factor_estimators;
 mod geometry;
