@@ -102,10 +102,11 @@ pub fn render(
         };
         let rays: Vec<Ray> = wanted.iter().flat_map(through).collect();
         let hits = bvh.closest(&rays);
-        let groups = rays.chunks_exact(numbers.len()).zip(hits.chunks_exact(numbers.len()));
-        let of_pixel = |((rays, hits), sums): ((&[Ray], &[Option<Hit>]), &mut [f64])| {
-            let fronts = rays.iter().zip(hits).map(|(ray, hit)| hit.filter(|hit| sight.is_front(hit, ray.direction)));
-            let fronts: Vec<Option<Hit>> = fronts.collect();
+        let each = numbers.len();
+        let of_pixel = |(pixel, sums): (usize, &mut [f64])| {
+            let own = pixel * each..(pixel + 1) * each;
+            let fronts: Vec<Option<Hit>> =
+                own.map(|k| hits[k].filter(|hit| sight.is_front(hit, rays[k].direction))).collect();
             let range = |b: usize| {
                 let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
                 for value in fronts.iter().map(|hit| hit.as_ref().map_or(0.0, |hit| radiance(hit, b))) {
@@ -117,7 +118,7 @@ pub fn render(
             // Every band has to be summed.
             (0..bands).map(range).fold(false, |any, differs| any | differs)
         };
-        groups.zip(sums.chunks_exact_mut(bands)).map(of_pixel).collect()
+        sums.chunks_exact_mut(bands).enumerate().map(of_pixel).collect()
     };
     let mut differs = vec![false; width * height];
     let rows = pixels.par_chunks_mut(width * bands).zip(differs.par_chunks_mut(width)).enumerate();
