@@ -53,8 +53,8 @@ const TOGETHER: usize = 128;
 /// `irradiance` is H, n x b. `bvh` must hold all patches of the scene.
 ///
 /// # Errors
-/// [`Error::Invalid`] when the image has no pixels, or the camera sees nothing or only backs; [`Error::Memory`] when the
-/// image needs more than `memory` bytes; [`Error::Interrupted`].
+/// [`crate::Error::Invalid`] when the image has no pixels, or the camera sees nothing or only backs; [`crate::Error::Memory`] when the
+/// image needs more than `memory` bytes; [`crate::Error::Interrupted`].
 #[expect(clippy::too_many_arguments, reason = "a picture has this many ingredients")]
 pub fn render(
     scene: &Scene,
