@@ -7,7 +7,7 @@
 //!
 //! into the squared relative error of the reflected radiosity, and one like it the other way. It is allowed as much as any
 //! other link: a sum is least for its number of terms when all are alike. B_q^2 is the mean square on q, so that a lamp in a dark
-//! cluster counts. In a closed scene, where light that is the same everywhere makes no error ([`super::closed`]), it is
+//! cluster counts. In a closed scene, where light that is the same everywhere makes no error ([`super::balanced`]), it is
 //! the mean of (B_q - B_p)^2: a furnace is not refined at all.
 
 use super::link::Link;
