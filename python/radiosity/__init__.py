@@ -19,6 +19,7 @@ from .bounces import bounces
 from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
 from .load import load
 from .render import Camera, render, save_image
+from .save import load_solution, save
 from .scene import Scene
 from .solution import ConvergenceError, Forecast, Solution
 from .solve import ambient, forecast, solve, solve_system
@@ -38,10 +39,12 @@ __all__ = [
     "form_factor",
     "form_factors",
     "load",
+    "load_solution",
     "mitsuba",
     "pair_form_factors",
     "plot",
     "render",
+    "save",
     "save_image",
     "scenes",
     "solve",

@@ -9,6 +9,7 @@ __all__ = [
     "Scene",
     "ambient",
     "assess",
+    "corner_irradiance",
     "forecast_scene",
     "form_factor",
     "gather",
@@ -184,6 +185,7 @@ def assess(
     progress: _Report | None,
 ) -> tuple[float, int]: ...
 def ambient(areas: _Floats, unshot: _Floats, reflectance: _Floats) -> _Floats: ...
+def corner_irradiance(scene: Scene, irradiance: _Floats, threads: int | None) -> _Floats: ...
 def gather(
     scene: Scene,
     irradiance: _Floats,

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from .arrays import FloatArray, whole_number
+from .files import replacing
 from .render import Camera, auto_exposure, render, to_srgb
 from .solution import Solution
 
@@ -99,7 +101,8 @@ def animation(
     _, frames = _frames(solutions, camera, size, shading)
     images = [Image.fromarray(frame[..., 0] if frame.shape[2] == 1 else frame) for frame in frames]
     milliseconds = [round(1000 * seconds)] * (len(images) - 1) + [round(4000 * seconds)]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=milliseconds, loop=0)
+    with replacing(Path(path)) as temporary:
+        images[0].save(temporary, save_all=True, append_images=images[1:], duration=milliseconds, loop=0)
 
 
 def links(F: FormFactors, *, size: int = 800) -> Figure:

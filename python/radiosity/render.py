@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy.typing as npt
 
 from . import _core
 from .arrays import FloatArray, real_array, real_number, shaped, thread_count, whole_number
+from .files import replacing
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .solution import Solution
@@ -159,6 +159,20 @@ def auto_exposure(image: FloatArray) -> float:
     return float(0.8 / np.percentile(lit, 95)) if lit.size else 1.0
 
 
+def shown_radiance(solution: Solution) -> FloatArray:
+    """(n, 3, b) radiance at the corners of every patch as smooth pictures show it, W/(m^2 sr)."""
+    scene = solution.scene
+    assert scene is not None
+    corners = _core.corner_irradiance(scene._core, solution.irradiance, None)
+    radiance: FloatArray = (scene.emission[:, None] + scene.reflectance[:, None] * corners) / np.pi
+    return radiance
+
+
+def exposure_of(solution: Solution, exposure: float | None) -> float:
+    """The exposure asked for, or one that brings the bright patches near to white."""
+    return auto_exposure(solution.radiosity / np.pi) if exposure is None else float(exposure)
+
+
 def to_srgb(image: FloatArray, exposure: float | None = None) -> npt.NDArray[np.uint8]:
     """(h, w, b) linear radiance as 8-bit sRGB (IEC 61966-2-1), b = 1 or 3; ``exposure`` as in :func:`save_image`."""
     scaled = np.clip(image * (auto_exposure(image) if exposure is None else exposure), 0.0, 1.0)
@@ -190,24 +204,11 @@ def save_image(path: str | os.PathLike[str], image: Any, exposure: float | None 
         raise ValueError("image holds values that are not finite")
     if exposure is not None and not (math.isfinite(exposure) and exposure > 0.0):
         raise ValueError(f"exposure {exposure} is not a positive number")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path.parent}: no such folder")
-    # Write beside the target and rename: a failed save leaves the old file whole.
-    handle, temporary = tempfile.mkstemp(suffix=path.suffix.lower(), dir=path.parent)
-    os.close(handle)
-    try:
+    with replacing(path) as temporary:
         if path.suffix.lower() == ".png":
             _write_png(temporary, to_srgb(pixels, exposure))
         else:
             _write_exr(temporary, pixels)
-        # mkstemp makes files that only their owner may read; a picture gets the usual permissions.
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
 
 
 def _write_png(path: str, pixels: npt.NDArray[np.uint8]) -> None:

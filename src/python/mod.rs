@@ -26,7 +26,7 @@ mod _core {
     #[pymodule_export]
     use super::hierarchy::solve_hierarchical;
     #[pymodule_export]
-    use super::render::{gather, render};
+    use super::render::{corner_irradiance, gather, render};
     #[pymodule_export]
     use super::scene::Scene;
     #[pymodule_export]

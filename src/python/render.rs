@@ -13,7 +13,7 @@ use super::run::run;
 use super::scene::Scene;
 use crate::error::Error;
 use crate::geometry::Vec3;
-use crate::render::{Camera, GatherOptions, Image, Shading, gather as core_gather, render as core_render};
+use crate::render::{self as core, Camera, GatherOptions, Image, Shading};
 
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
@@ -38,9 +38,9 @@ pub(super) fn render<'py>(
     let image = Image { width, height, shading: if smooth { Shading::Smooth } else { Shading::Flat } };
     let (radiosity, irradiance) = (values(&radiosity), values(&irradiance));
     let bands = scene.scene.bands();
-    let (core, tree) = (Arc::clone(&scene.scene), scene.tree(py)?);
+    let (tree, scene) = (scene.tree(py)?, Arc::clone(&scene.scene));
     let pixels = run(py, threads, progress.as_ref(), move |progress| {
-        core_render(&core, &tree, &radiosity, &irradiance, &camera, image, memory, progress)
+        core::render(&scene, &tree, &radiosity, &irradiance, &camera, image, memory, progress)
     })?;
     image_array(py, pixels, [height, width, bands])
 }
@@ -75,7 +75,7 @@ pub(super) fn gather<'py>(
     let options = GatherOptions { width, height, tolerance, seed, memory };
     let irradiance = values(&irradiance);
     let shape = [height, width, scene.scene.bands()];
-    let (core, tree) = (Arc::clone(&scene.scene), scene.tree(py)?);
+    let (tree, scene) = (scene.tree(py)?, Arc::clone(&scene.scene));
     // An exception raised by `on_image` waits here until the worker has stopped.
     let raised: Arc<Mutex<Option<PyErr>>> = Arc::default();
     let slot = Arc::clone(&raised);
@@ -91,11 +91,27 @@ pub(super) fn gather<'py>(
                 })
             })
         };
-        core_gather(&core, &tree, &irradiance, &camera, &options, &mut observe, progress)
+        core::gather(&scene, &tree, &irradiance, &camera, &options, &mut observe, progress)
     });
     if let Some(error) = raised.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);
     }
     let gathered = outcome?;
     Ok((image_array(py, gathered.pixels, shape)?, gathered.error_estimate, gathered.passes, gathered.rays))
+}
+
+/// (n, 3, b): the irradiance at the corners of every patch that smooth pictures interpolate.
+#[pyfunction]
+#[pyo3(signature = (scene, irradiance, threads))]
+pub(super) fn corner_irradiance<'py>(
+    py: Python<'py>,
+    scene: &Scene,
+    irradiance: PyReadonlyArray2<f64>,
+    threads: Option<usize>,
+) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    let irradiance = values(&irradiance);
+    let scene = Arc::clone(&scene.scene);
+    let shape = [scene.len(), 3, scene.bands()];
+    let corners = run(py, threads, None, move |_| Ok(core::corner_irradiance(&scene, &irradiance)))?;
+    image_array(py, corners, shape)
 }

@@ -12,4 +12,4 @@ pub mod view;
 
 pub use camera::Camera;
 pub use final_gather::{GatherOptions, Gathered, gather};
-pub use view::{Image, Shading, render};
+pub use view::{Image, Shading, corner_irradiance, render};

@@ -150,7 +150,7 @@ pub fn render(
 }
 
 /// The irradiance at the three corners of every patch, n x 3 x b.
-fn corner_irradiance(scene: &Scene, irradiance: &[f64]) -> Vec<f64> {
+pub fn corner_irradiance(scene: &Scene, irradiance: &[f64]) -> Vec<f64> {
     let bands = scene.bands();
     // Corners are the same when they are at the same place, whatever their index.
     let mut around: HashMap<[u64; 3], Vec<u32>> = HashMap::new();

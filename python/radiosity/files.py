@@ -1,0 +1,35 @@
+"""Files that are replaced only once the new one is whole."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[str]:
+    """A temporary file beside ``path``, with the same ending, that takes its place when the block ends without error.
+
+    Raises:
+        FileNotFoundError: no such folder.
+        OSError: the folder cannot be written to.
+    """
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path.parent}: no such folder")
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: is a folder")
+    handle, temporary = tempfile.mkstemp(suffix=path.suffix.lower(), dir=path.parent)
+    os.close(handle)
+    try:
+        yield temporary
+        # mkstemp makes files that only their owner may read; others get the usual permissions.
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
