@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-rust test-python lint bench clean
+.PHONY: demo test test-rust test-python lint bench viewer clean
 
 demo: .venv/demo
 	$(BIN)/radiosity demo --output out
@@ -33,6 +33,14 @@ bench: .venv/test
 	for bench in benches/*.py; do $(BIN)/python $$bench || exit 1; done
 	$(BIN)/radiosity bench --output out
 
+# The bundle is in the repository, so that only those who change the viewer need npm.
+VIEWER := python/radiosity/viewer
+viewer:
+	mkdir -p target/viewer
+	cp $(VIEWER)/package.json $(VIEWER)/package-lock.json $(VIEWER)/viewer.js target/viewer
+	cd target/viewer && npm ci --silent && npm run --silent build
+	cp target/viewer/bundle.js $(VIEWER)/bundle.js
+
 # The environment is made anew when what it is built from has changed.
 SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find src python -name '*.rs' -o -name '*.py' -o -name '*.pyi')
 
@@ -43,6 +51,7 @@ SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find src python -name '*
 
 .venv/test: $(SOURCES) | .venv/bin/python
 	sh tests/install_llvm.sh
+	sh tests/install_chromium.sh
 	$(PIP) '.[test,mitsuba]'
 	touch $@
 

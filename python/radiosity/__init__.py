@@ -23,6 +23,7 @@ from .save import load_solution, save
 from .scene import Scene
 from .solution import ConvergenceError, Forecast, Solution
 from .solve import ambient, forecast, solve, solve_system
+from .view import View, show
 
 __version__ = _version("radiosity")
 
@@ -33,6 +34,7 @@ __all__ = [
     "FormFactors",
     "Scene",
     "Solution",
+    "View",
     "ambient",
     "bounces",
     "forecast",
@@ -47,6 +49,7 @@ __all__ = [
     "save",
     "save_image",
     "scenes",
+    "show",
     "solve",
     "solve_system",
 ]
