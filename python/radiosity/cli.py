@@ -1,47 +1,246 @@
-"""The command line: ``radiosity demo`` and ``radiosity bench``."""
+"""The command line: ``radiosity solve``, ``render``, ``show``, ``form-factors``, ``bench`` and ``demo``."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
-from . import __version__
+import numpy as np
+
+from . import __version__, scenes
 from .bench import run as run_bench
 from .demo import run as run_demo
+from .files import replacing
+from .form_factors import METHODS as FORM_FACTOR_METHODS
+from .form_factors import form_factors
+from .load import load
 from .references import NAMES
-from .solution import ConvergenceError
+from .render import FORMATS as IMAGE_FORMATS
+from .render import SHADINGS, Camera, render, save_image
+from .save import FORMATS as SOLUTION_FORMATS
+from .save import load_solution, save
+from .scene import Scene
+from .solution import ConvergenceError, Solution
+from .solve import METHODS, solve
+from .view import UNITS, show
+
+_SCENES = ("colonnade", "cornell_box", "furnace", "parallel_plates", "two_rooms")
+_PAGES = (".html", ".htm")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit status: 0, 1 for an error told on stderr, 130 after Ctrl-C."""
-    parser = argparse.ArgumentParser(
-        prog="radiosity", description="Diffuse light and heat between the surfaces of a 3-D scene."
-    )
-    parser.add_argument("--version", action="version", version=f"radiosity {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True)
-    demo = commands.add_parser("demo", help="solve the Cornell box, write its picture, compare with Mitsuba")
-    demo.add_argument("-o", "--output", default="out", metavar="FOLDER", help="where the picture goes (default: out)")
-    demo.add_argument(
-        "--tolerance", type=float, default=0.02, help="relative error asked of the solution (default: 0.02)"
-    )
-    demo.add_argument("--no-mitsuba", action="store_true", help="do not time Mitsuba even if it is installed")
-    bench = commands.add_parser("bench", help="error against seconds of all methods, and of Mitsuba, on known scenes")
-    bench.add_argument(
-        "-o", "--output", default="out", metavar="FOLDER", help="where bench.csv and bench.png go (default: out)"
-    )
-    bench.add_argument("--scenes", nargs="+", choices=NAMES, default=NAMES, metavar="NAME", help=", ".join(NAMES))
-    bench.add_argument("--no-mitsuba", action="store_true", help="do not race against Mitsuba even if it is installed")
-    options = parser.parse_args(arguments)
+    options = _parser().parse_args(arguments)
     try:
-        if options.command == "demo":
-            print(run_demo(options.output, options.tolerance, not options.no_mitsuba))
-        else:
-            run_bench(options.output, options.scenes, not options.no_mitsuba)
+        options.run(options)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    except (ValueError, MemoryError, OSError, ImportError, ConvergenceError) as error:
+    except (ValueError, TypeError, MemoryError, OSError, ImportError, ConvergenceError) as error:
         print(f"radiosity: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="radiosity",
+        description="Diffuse light and heat between the surfaces of a 3-D scene.",
+        epilog=f"A scene is a file (glb, gltf, obj, ply, stl, Mitsuba xml) or the name of a built-in one: "
+        f"{', '.join(_SCENES)}. Where a solution is wanted, a scene is solved first.",
+    )
+    parser.add_argument("--version", action="version", version=f"radiosity {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(name: str, run: Callable[[argparse.Namespace], None], text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        sub.set_defaults(run=run)
+        return sub
+
+    one = command("solve", _solve, "solve a scene and write the solution")
+    one.add_argument("scene", help="file or built-in scene")
+    one.add_argument("-o", "--output", required=True, metavar="FILE", help=f"{', '.join((*SOLUTION_FORMATS, '.html'))}")
+    _add_solving(one, 0.01)
+    one.add_argument("--lightmap", type=int, metavar="TEXELS", help=".glb: a texture of so many texels each way")
+
+    one = command("render", _render, "make a picture of a solution")
+    one.add_argument("solution", help="solution (.npz), file or built-in scene")
+    one.add_argument("-o", "--output", required=True, metavar="FILE", help=", ".join(IMAGE_FORMATS))
+    _add_camera(one)
+    one.add_argument("--size", nargs=2, type=int, default=(512, 512), metavar=("WIDTH", "HEIGHT"), help="pixels")
+    one.add_argument("--shading", choices=SHADINGS, default="smooth", help="default: smooth")
+    one.add_argument("--noise", type=float, default=0.02, help="gather: relative error from sampling (default: 0.02)")
+    one.add_argument("--exposure", type=float, help=".png: factor from radiance to display (default: from the picture)")
+    _add_solving(one, 0.02)
+
+    one = command("show", _show, "open a solution in the browser, or write the page")
+    one.add_argument("solution", help="solution (.npz), file or built-in scene")
+    one.add_argument("-o", "--output", metavar="FILE", help="write this .html instead of opening it")
+    one.add_argument("--unit", choices=UNITS, default=UNITS[0], help=f"of false colours (default: {UNITS[0]})")
+    _add_camera(one)
+    _add_solving(one, 0.02)
+
+    one = command("form-factors", _form_factors, "compute the form factors of a scene")
+    one.add_argument("scene", help="file or built-in scene")
+    one.add_argument("-o", "--output", required=True, metavar="FILE", help=".npz: form_factors (n, n), areas (n,)")
+    one.add_argument("--tolerance", type=float, default=1e-3, help="of the rows (default: 0.001)")
+    one.add_argument("--method", choices=FORM_FACTOR_METHODS, default="auto", help="default: auto")
+    _add_common(one)
+
+    one = command("bench", _bench, "error against seconds of all methods, and of Mitsuba, on known scenes")
+    one.add_argument(
+        "-o", "--output", default="out", metavar="FOLDER", help="where bench.csv and bench.png go (default: out)"
+    )
+    one.add_argument("--scenes", nargs="+", choices=NAMES, default=NAMES, metavar="NAME", help=", ".join(NAMES))
+    one.add_argument("--no-mitsuba", action="store_true", help="do not race against Mitsuba even if it is installed")
+
+    one = command("demo", _demo, "solve the Cornell box, write its picture, compare with Mitsuba")
+    one.add_argument("-o", "--output", default="out", metavar="FOLDER", help="where the picture goes (default: out)")
+    one.add_argument("--tolerance", type=float, default=0.02, help="relative error of the solution (default: 0.02)")
+    one.add_argument("--no-mitsuba", action="store_true", help="do not time Mitsuba even if it is installed")
+    return parser
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--max-edge", type=float, metavar="METRES", help="subdivide until no edge is longer")
+    parser.add_argument("--seed", type=int, default=0, help="of the random points (default: 0)")
+    parser.add_argument("--threads", type=int, help="default: all cores")
+    parser.add_argument("--quiet", action="store_true", help="no progress bars and no report")
+
+
+def _add_solving(parser: argparse.ArgumentParser, tolerance: float) -> None:
+    parser.add_argument(
+        "--tolerance", type=float, default=tolerance, help=f"relative error of B - E (default: {tolerance:g})"
+    )
+    parser.add_argument("--method", choices=METHODS, default="auto", help="default: auto")
+    _add_common(parser)
+
+
+def _add_camera(parser: argparse.ArgumentParser) -> None:
+    for name, text in (
+        ("origin", "where the camera stands"),
+        ("target", "what it looks at"),
+        ("up", "up (default: z)"),
+    ):
+        parser.add_argument(f"--{name}", nargs=3, type=float, metavar=("X", "Y", "Z"), help=text)
+    parser.add_argument("--fov", type=float, default=None, help="vertical field of view, degrees (default: 40)")
+
+
+def _solve(options: argparse.Namespace) -> None:
+    _check_output(options.output, (*SOLUTION_FORMATS, *_PAGES))
+    solution = _solved(_scene(options), options)
+    if Path(options.output).suffix.lower() in _PAGES:
+        show(solution, _camera(options)).save(options.output)
+    else:
+        save(solution, options.output, lightmap=options.lightmap)
+    _tell(options, f"{solution.report}\nwritten    {options.output}")
+
+
+def _render(options: argparse.Namespace) -> None:
+    _check_output(options.output, IMAGE_FORMATS)
+    camera = _camera(options)
+    if camera is None:
+        raise ValueError("say where the camera stands and what it looks at: --origin X Y Z --target X Y Z")
+    solution = _solution(options)
+    width, height = options.size
+    image = render(
+        solution,
+        camera,
+        width,
+        height,
+        options.shading,
+        tolerance=options.noise,
+        seed=options.seed,
+        threads=options.threads,
+        progress=not options.quiet,
+    )
+    save_image(options.output, image, options.exposure)
+    _tell(options, f"written    {options.output}")
+
+
+def _show(options: argparse.Namespace) -> None:
+    if options.output is not None:
+        _check_output(options.output, _PAGES)
+    camera = _camera(options)
+    view = show(_solution(options), camera, unit=options.unit)
+    if options.output is None:
+        _tell(options, f"opened     {view.open()}")
+    else:
+        view.save(options.output)
+        _tell(options, f"written    {options.output}")
+
+
+def _form_factors(options: argparse.Namespace) -> None:
+    _check_output(options.output, (".npz",))
+    scene = _scene(options)
+    progress = not options.quiet
+    F = form_factors(scene, options.tolerance, options.method, options.seed, options.threads, progress)
+    with replacing(Path(options.output)) as temporary:
+        np.savez_compressed(
+            temporary, form_factors=F.toarray(), areas=F.areas, error_estimate=np.float64(F.error_estimate)
+        )
+    low, high = F.row_sums.min(), F.row_sums.max()
+    _tell(options, f"{F}\nrow sums   {low:.6f} to {high:.6f}\nwritten    {options.output}")
+
+
+def _bench(options: argparse.Namespace) -> None:
+    run_bench(options.output, options.scenes, not options.no_mitsuba)
+
+
+def _demo(options: argparse.Namespace) -> None:
+    print(run_demo(options.output, options.tolerance, not options.no_mitsuba))
+
+
+def _check_output(name: str, endings: Sequence[str]) -> None:
+    """Refuses what could not be written, before any work."""
+    path = Path(name)
+    if path.suffix.lower() not in endings:
+        raise ValueError(f"{path}: unknown format {path.suffix!r}; the formats are {', '.join(endings)}")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path.parent}: no such folder")
+
+
+def _scene(options: argparse.Namespace) -> Scene:
+    name = options.scene
+    scene: Scene = getattr(scenes, name)() if name in _SCENES else load(name)
+    return scene if options.max_edge is None else scene.subdivide(options.max_edge)
+
+
+def _solved(scene: Scene, options: argparse.Namespace) -> Solution:
+    return solve(
+        scene,
+        options.tolerance,
+        options.method,
+        seed=options.seed,
+        threads=options.threads,
+        progress=not options.quiet,
+    )
+
+
+def _solution(options: argparse.Namespace) -> Solution:
+    if options.solution.lower().endswith(".npz"):
+        return load_solution(options.solution)
+    options.scene = options.solution
+    return _solved(_scene(options), options)
+
+
+def _camera(options: argparse.Namespace) -> Camera | None:
+    """The camera asked for; that of the Cornell box where it is looked at; else None."""
+    parts = {
+        name: value for name in ("origin", "target", "up", "fov") if (value := getattr(options, name, None)) is not None
+    }
+    if "origin" in parts and "target" in parts:
+        return Camera(**parts)
+    if parts:
+        raise ValueError("a camera needs both --origin X Y Z and --target X Y Z")
+    asked = getattr(options, "solution", getattr(options, "scene", None))
+    if asked != "cornell_box":
+        return None
+    return Camera(**scenes.cornell_box_view())  # type: ignore[arg-type]
+
+
+def _tell(options: argparse.Namespace, text: str) -> None:
+    if not options.quiet:
+        print(text)

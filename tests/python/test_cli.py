@@ -1,5 +1,6 @@
 """The command line."""
 
+import numpy as np
 import pytest
 
 import radiosity as rad
@@ -39,3 +40,58 @@ def test_help_and_version(capsys):
     with pytest.raises(SystemExit) as exit_:
         main(["dance"])
     assert exit_.value.code == 2
+
+
+def test_a_scene_is_solved_rendered_and_shown(tmp_path, capsys):
+    solved, picture, page = (str(tmp_path / name) for name in ("box.npz", "box.png", "box.html"))
+    assert main(["solve", "cornell_box", "-o", solved, "--max-edge", "0.3", "--tolerance", "0.1"]) == 0
+    told = capsys.readouterr()
+    assert "rays" in told.out
+    assert f"written    {solved}" in told.out
+    solution = rad.load_solution(solved)
+    assert solution.error_estimate <= 0.1
+    view = rad.scenes.cornell_box_view()
+    camera = []
+    for name in ("origin", "target", "up"):
+        camera += [f"--{name}", *map(str, view[name])]
+    camera += ["--fov", str(view["fov"]), "--quiet"]
+    assert main(["render", solved, "-o", picture, "--size", "64", "48", "--shading", "gather", *camera]) == 0
+    Image = pytest.importorskip("PIL.Image")
+    with Image.open(picture) as image:
+        assert image.size == (64, 48)
+    assert main(["show", solved, "-o", page, "--unit", "lux", *camera]) == 0
+    assert "lux" in (tmp_path / "box.html").read_text(encoding="utf-8")
+    # The view of the Cornell box is known; a solution is made on the way.
+    assert main(["render", "cornell_box", "-o", picture, "--size", "32", "32", "--tolerance", "0.2", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_form_factors_are_written(tmp_path, capsys):
+    path = tmp_path / "F.npz"
+    assert main(["form-factors", "furnace", "-o", str(path), "--tolerance", "0.01"]) == 0
+    assert "row sums" in capsys.readouterr().out
+    with np.load(path) as data:
+        np.testing.assert_allclose(data["form_factors"].sum(axis=1), 1.0, atol=0.01)
+        assert data["areas"].shape == (len(data["form_factors"]),)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["solve", "none.glb", "-o", "x.npz"], "none.glb: no such file"),
+        (["solve", "cornell_box", "-o", "x.doc"], "unknown format '.doc'"),
+        (["solve", "cornell_box", "-o", "nowhere/x.npz"], "nowhere: no such folder"),
+        (["render", "two_rooms", "-o", "x.png"], "say where the camera stands"),
+        (["render", "two_rooms", "-o", "x.png", "--origin", "1", "1", "1"], "both --origin"),
+        (["render", "cornell_box", "-o", "x.png", "--size", "0", "4", "--tolerance", "0.5"], "width 0 is outside"),
+        (["show", "cornell_box", "-o", "x.pdf"], "unknown format '.pdf'"),
+        (["form-factors", "cornell_box", "-o", "x.csv"], "unknown format '.csv'"),
+    ],
+)
+def test_wrong_requests_are_refused_in_one_line(tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert main([*arguments, "--quiet"]) == 1
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
