@@ -286,3 +286,27 @@ def test_max_edge_refines_and_keeps_names(build: Callable[..., rad.Scene]) -> No
     assert fine.areas.sum() == pytest.approx(coarse.areas.sum(), rel=ROUNDING)
     with pytest.raises(ValueError, match="max_edge"):
         build(max_edge=-1.0)
+
+
+@pytest.mark.parametrize(("name", "least"), [("gallery", 1_900), ("theatre", 50_000)])
+def test_furnished_scenes_are_closed_and_have_their_fronts_inside(name, least):
+    scene = getattr(rad.scenes, name)()
+    view = rad.Camera(**getattr(rad.scenes, f"{name}_view")())
+    assert scene.n_patches >= least
+    report = scene.report()
+    assert len(report.degenerate_patches) == len(report.duplicate_patches) == 0
+    # From the camera and from the points that light reaches from there, every ray meets a front.
+    rng = np.random.default_rng(0)
+    origins = np.tile(np.asarray(view.origin), (2000, 1))
+    for _ in range(3):
+        directions = rng.normal(size=(2000, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        hits = scene.intersect(origins, directions)
+        assert (hits.patch >= 0).all()
+        towards = np.einsum("ij,ij->i", scene.normals[hits.patch], directions)
+        assert (towards < 0.0).all(), f"{scene.names[hits.patch[np.argmax(towards)]]} shows its back"
+        # Back by a tenth of a millimetre along the normal: nothing is nearer to anything else than that.
+        origins = origins + hits.distance[:, None] * directions + 1e-4 * scene.normals[hits.patch]
+    solution = rad.solve(scene, 0.3, progress=False)
+    image = rad.render(solution, view, 60, 40, progress=False)
+    assert (image > 0.0).all()

@@ -1,15 +1,4 @@
-"""Built-in scenes: rooms whose light is known, from measurement, from closed forms or from a path tracer.
-
-All lengths in m, emission in W/m^2. Triangles run counter-clockwise seen from the side that light reaches (their
-front), walls meet in shared vertices without T-junctions, and `names` says which object a patch belongs to. Every
-function takes `max_edge`: the scene is then subdivided until no edge is longer, and stays without T-junctions.
-
-    cornell_box       the box of Goral et al. (1984), dimensions as measured at Cornell University; open at the front
-    furnace           a closed cavity of one material; B = E / (1 - rho) everywhere, exactly
-    parallel_plates   two squares; their form factor has a closed form
-    two_rooms         two rooms and a door; all light of the second comes through the door
-    colonnade         a hall with a double row of pillars, which throw shadows of two colours
-"""
+"""The rooms: their light is known, from measurement, from closed forms or from a path tracer."""
 
 from __future__ import annotations
 
@@ -19,85 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import FloatArray
-from .scene import Scene
-
-__all__ = ["colonnade", "cornell_box", "cornell_box_view", "furnace", "parallel_plates", "two_rooms"]
-
-_Point = Sequence[float]
-_Lines = tuple[Sequence[float], Sequence[float], Sequence[float]]
+from ..arrays import FloatArray
+from ..scene import Scene
+from .builder import Builder, Point, refined
 
 _WHITE = (0.725, 0.71, 0.68)
 _RED = (0.63, 0.065, 0.05)
 _GREEN = (0.14, 0.45, 0.091)
 _LAMP = (0.78, 0.78, 0.78)
 _LAMP_EMISSION = (17.0 * math.pi, 12.0 * math.pi, 4.0 * math.pi)
-
-
-class _Builder:
-    """Named triangles with their materials; equal positions become one vertex."""
-
-    def __init__(self) -> None:
-        self._corners: list[tuple[_Point, _Point, _Point]] = []
-        self._names: list[str] = []
-        self._reflectance: list[_Point] = []
-        self._emission: list[_Point] = []
-
-    def polygon(
-        self, name: str, corners: Sequence[_Point], reflectance: _Point, emission: _Point = (0.0, 0.0, 0.0)
-    ) -> None:
-        """Add a convex polygon, counter-clockwise seen from its front, as a fan around its first corner."""
-        for k in range(1, len(corners) - 1):
-            self._corners.append((corners[0], corners[k], corners[k + 1]))
-            self._names.append(name)
-            self._reflectance.append(reflectance)
-            self._emission.append(emission)
-
-    def wall(
-        self,
-        name: str,
-        axis: int,
-        facing: int,
-        at: float,
-        lines: _Lines,
-        reflectance: _Point,
-        emission: _Point = (0.0, 0.0, 0.0),
-        hole: _Lines | None = None,
-    ) -> None:
-        """Add a wall across an axis, cut along the lines of the two other axes, its front towards facing * axis.
-
-        Cells whose middle lies within the first and last line of `hole` along every axis are left out.
-        """
-        first, second = (axis + 1) % 3, (axis + 2) % 3  # their right-handed normal is +axis
-
-        def point(u: float, v: float) -> list[float]:
-            place = [at, at, at]
-            place[first], place[second] = u, v
-            return place
-
-        for u0, u1 in zip(lines[first][:-1], lines[first][1:], strict=True):
-            for v0, v1 in zip(lines[second][:-1], lines[second][1:], strict=True):
-                middle = point(0.5 * (u0 + u1), 0.5 * (v0 + v1))
-                if hole is not None and all(side[0] <= x <= side[-1] for x, side in zip(middle, hole, strict=True)):
-                    continue
-                corners = [point(u0, v0), point(u1, v0), point(u1, v1), point(u0, v1)]
-                self.polygon(name, corners[::facing], reflectance, emission)
-
-    def scene(self, max_edge: float | None) -> Scene:
-        corners = np.asarray(self._corners, dtype=np.float64).reshape(-1, 3)
-        vertices, index = np.unique(corners, axis=0, return_inverse=True)
-        scene = Scene(
-            vertices,
-            index.reshape(-1, 3),
-            reflectance=np.asarray(self._reflectance),
-            emission=np.asarray(self._emission),
-            names=self._names,
-        )
-        return _refined(scene, max_edge)
-
-
-def _refined(scene: Scene, max_edge: float | None) -> Scene:
-    return scene if max_edge is None else scene.subdivide(max_edge)
 
 
 def cornell_box(max_edge: float | None = None) -> Scene:
@@ -120,7 +39,7 @@ def cornell_box(max_edge: float | None = None) -> Scene:
 
     """
     height, depth = 0.5488, 0.5592
-    builder = _Builder()
+    builder = Builder()
     builder.polygon("floor", [(0.5528, 0, 0), (0, 0, 0), (0, 0, depth), (0.5496, 0, depth)], _WHITE)
     outer = [(0.556, height, 0), (0.556, height, depth), (0, height, depth), (0, height, 0)]
     lamp = [(0.343, height, 0.227), (0.343, height, 0.332), (0.213, height, 0.332), (0.213, height, 0.227)]
@@ -137,7 +56,7 @@ def cornell_box(max_edge: float | None = None) -> Scene:
     return builder.scene(max_edge)
 
 
-def _block(builder: _Builder, name: str, foot: Sequence[tuple[float, float]], height: float) -> None:
+def _block(builder: Builder, name: str, foot: Sequence[tuple[float, float]], height: float) -> None:
     """Add the top and the sides of a block on the floor; `foot` runs from z towards x (clockwise seen from above)."""
     builder.polygon(name, [(x, height, z) for x, z in foot], _WHITE)
     for (x0, z0), (x1, z1) in zip(foot, [*foot[1:], foot[0]], strict=True):
@@ -188,7 +107,7 @@ def furnace(
         corners, faces = np.array(sphere.vertices), np.array(sphere.faces)[:, ::-1]
     else:
         raise ValueError(f"unknown furnace shape {shape!r}; valid are 'cube', 'icosphere'")
-    return _refined(Scene(corners, faces, reflectance, emission, names=["furnace"] * len(faces)), max_edge)
+    return refined(Scene(corners, faces, reflectance, emission, names=["furnace"] * len(faces)), max_edge)
 
 
 def parallel_plates(
@@ -228,7 +147,7 @@ def parallel_plates(
         emission=_per_plate("emission", emission),
         names=["lower plate"] * 2 + ["upper plate"] * 2,
     )
-    return _refined(scene, max_edge)
+    return refined(scene, max_edge)
 
 
 def _per_plate(name: str, values: npt.ArrayLike) -> FloatArray:
@@ -262,7 +181,7 @@ def two_rooms(max_edge: float | None = None) -> Scene:
     lamp, door = ([1.5, 2.5], [1.5, 2.5], [3.0]), ([4.0, 4.2], [3.0, 3.8], [0.0, 2.0])
     x, y, z = 0, 1, 2
 
-    builder = _Builder()
+    builder = Builder()
     builder.wall("first room floor", z, +1, 0.0, first, grey)
     builder.wall("first room ceiling", z, -1, 3.0, first, white, hole=lamp)
     builder.wall("lamp", z, -1, 3.0, lamp, grey, emission=(100.0, 100.0, 100.0))
@@ -306,7 +225,7 @@ def colonnade(max_edge: float | None = None) -> Scene:
     lamps = {2.0: ("warm lamp", (120.0, 90.0, 60.0)), 10.0: ("cool lamp", (60.0, 90.0, 120.0))}
     x, y = 0, 1
 
-    builder = _Builder()
+    builder = Builder()
     for x0, x1 in zip(across[x][:-1], across[x][1:], strict=True):
         middle = 0.5 * (x0 + x1)
         for (y0, y1), pillar in (((0.0, 3.0), 2.0), ((5.0, 8.0), 6.0)):
@@ -342,13 +261,13 @@ def _rectangle(low: tuple[float, float], high: tuple[float, float]) -> list[tupl
 
 
 def _slab_around(
-    builder: _Builder,
+    builder: Builder,
     name: str,
     outer: Sequence[tuple[float, float]],
     foot: Sequence[tuple[float, float]],
     z: float,
     facing: int,
-    reflectance: _Point,
+    reflectance: Point,
 ) -> None:
     """Add a rectangle at height z with an octagonal hole, its front towards facing * z.
 
