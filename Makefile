@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-rust test-python lint bench viewer clean
+.PHONY: demo test test-rust test-python lint bench docs viewer clean
 
 demo: .venv/demo
 	$(BIN)/radiosity demo --output out
@@ -32,6 +32,15 @@ bench: .venv/test
 	$(PIP) pyviewfactor || echo "pyviewfactor cannot be installed here: no comparison with it"
 	for bench in benches/*.py; do $(BIN)/python $$bench || exit 1; done
 	$(BIN)/radiosity bench --output out
+
+# The pages, notebooks and all, in target/docs/site.
+docs: .venv/test
+	$(PIP) '.[docs]'
+	rm -rf target/docs
+	mkdir -p target/docs
+	cp -r docs target/docs/source
+	cp -r python/notebooks target/docs/source
+	cd target/docs && ../../$(BIN)/sphinx-build -W --keep-going -q source site
 
 # The bundle is in the repository, so that only those who change the viewer need npm.
 VIEWER := python/radiosity/viewer

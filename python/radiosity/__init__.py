@@ -1,5 +1,7 @@
 """Diffuse light and heat between the surfaces of a 3-D scene.
 
+::
+
     import radiosity as rad
 
     scene = rad.load("room.glb")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Iterable, Sequence
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from .form_factors import FormFactors, Links
 
-__all__ = ["animation", "bounces", "links", "links_from", "mesh"]
+__all__ = ["animation", "bounces", "convergence", "irradiance", "links", "links_from", "mesh", "row_sums"]
 
 
 def bounces(
@@ -243,6 +244,100 @@ def mesh(solution: Solution, camera: Camera, *, size: int = 600, shading: str = 
     axes.set_ylim(size, 0)
     axes.set_axis_off()
     axes.set_title(f"{len(scene.faces):,} faces")
+    return figure
+
+
+def irradiance(
+    solution: Solution, camera: Camera, *, size: int = 600, shading: str = "smooth", most: float | None = None
+) -> Figure:
+    """The irradiance of all bands together in false colours, with a colour bar, W/m^2.
+
+    Args:
+        solution: of a scene.
+        camera: the viewpoint.
+        size: width and height, pixels.
+        shading: as in :func:`radiosity.render`.
+        most: irradiance at the end of the colours; None for the 99th percentile of what is seen.
+
+    Returns:
+        A matplotlib figure.
+
+    Raises:
+        ValueError: a solution without a scene; as :func:`radiosity.render`.
+        ImportError: without matplotlib.
+    """
+    from matplotlib.figure import Figure
+
+    shown = solution.as_shown
+    scene = shown.scene
+    if scene is None:
+        raise ValueError("a solution without a scene has no picture")
+    # A white surface that emits nothing has the radiance H / pi.
+    ones = np.ones_like(scene.reflectance)
+    white = dataclasses.replace(shown, radiosity=shown.irradiance, scene=scene.with_materials(ones, 0.0 * ones))
+    seen = math.pi * render(white, camera, width=size, height=size, shading=shading, progress=False).sum(axis=2)
+    figure = Figure(figsize=(6.6, 5.6), layout="constrained")
+    axes = figure.add_subplot()
+    top = float(np.percentile(seen[seen > 0.0], 99.0)) if most is None and (seen > 0.0).any() else most
+    image = axes.imshow(seen, vmin=0.0, vmax=top)
+    figure.colorbar(image, label="irradiance, W/m^2", extend="max")
+    axes.set_axis_off()
+    return figure
+
+
+def row_sums(F: FormFactors) -> Figure:
+    """A histogram of the sums of all rows of F: 1 in a closed scene, less where light leaves.
+
+    Args:
+        F: form factors.
+
+    Returns:
+        A matplotlib figure.
+
+    Raises:
+        ImportError: without matplotlib.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    axes.hist(F.row_sums, bins=60, color="#4060a0")
+    axes.axvline(1.0, color="0.5", linewidth=0.8)
+    axes.set_yscale("log")
+    axes.set_xlabel(f"sum of a row (estimated error {F.error_estimate:.1e})")
+    axes.set_ylabel("patches")
+    return figure
+
+
+def convergence(solutions: Sequence[Solution], labels: Sequence[str] | None = None) -> Figure:
+    """The relative residual of solvers against their steps.
+
+    Args:
+        solutions: of :func:`radiosity.solve_system`.
+        labels: one each; None for the names of the methods.
+
+    Returns:
+        A matplotlib figure.
+
+    Raises:
+        ValueError: no solutions, or labels of another number.
+        ImportError: without matplotlib.
+    """
+    from matplotlib.figure import Figure
+
+    if not solutions:
+        raise ValueError("there is no solution to draw")
+    names = [solution.report.method for solution in solutions] if labels is None else list(labels)
+    if len(names) != len(solutions):
+        raise ValueError(f"{len(names)} labels for {len(solutions)} solutions")
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    for solution, name in zip(solutions, names, strict=True):
+        residuals = [step.residual for step in solution.history]
+        axes.loglog(range(1, len(residuals) + 1), residuals, marker=".", label=name)
+    axes.set_xlabel("step")
+    axes.set_ylabel("relative residual")
+    axes.legend()
     return figure
 
 

@@ -189,7 +189,7 @@ class ConvergenceError(RuntimeError):
     """An iteration used up its steps before it reached its tolerance."""
 
     solution: Solution
-    """What was reached: a usable, unfinished solution."""
+    """What was reached, a usable, unfinished solution."""
 
     def __init__(self, message: str, solution: Solution) -> None:
         super().__init__(message)

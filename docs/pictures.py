@@ -1,0 +1,62 @@
+"""Draws the pictures of docs/viewing.md and docs/index.md: `python docs/pictures.py [name ...]`."""
+
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import radiosity as rad
+from radiosity.render import to_srgb
+
+FOLDER = Path(__file__).resolve().parent
+
+
+def theatre() -> None:
+    scene = rad.scenes.theatre()
+    solution = timed("theatre, solve to 5 %", lambda: rad.solve(scene, 0.05, progress=False))
+    picture("theatre", solution, rad.scenes.theatre_view(), (800, 450), 0.03)
+
+
+def gallery() -> None:
+    solution = timed("gallery, solve to 2 %", lambda: rad.solve(rad.scenes.gallery(), 0.02, progress=False))
+    picture("gallery", solution, rad.scenes.gallery_view(), (800, 450), 0.015)
+
+
+def shadings() -> None:
+    """The Cornell box flat, smooth, on adaptive elements, and gathered."""
+    from matplotlib.figure import Figure
+
+    scene, camera = rad.scenes.cornell_box(max_edge=0.1), rad.Camera(**rad.scenes.cornell_box_view())
+    rays = rad.solve(scene, 0.01, progress=False)
+    links = rad.solve(scene, 0.03, "hierarchical", progress=False)
+    figure = Figure(figsize=(12.0, 3.3), layout="constrained")
+    panels = figure.subplots(1, 4)
+    shown = [("flat", rays, "flat"), ("smooth", rays, "smooth"), ("hierarchical, smooth", links, "smooth")]
+    for panel, (title, solution, shading) in zip(panels, [*shown, ("gather", rays, "gather")], strict=True):
+        start = perf_counter()
+        image = rad.render(solution, camera, 400, 400, shading, tolerance=0.01, progress=False)
+        seconds = perf_counter() - start
+        panel.imshow(to_srgb(image, 4.0))
+        panel.set_title(f"{title}: {seconds:.2g} s", fontsize=10)
+        panel.set_axis_off()
+    figure.savefig(FOLDER / "shadings.png", dpi=100)
+
+
+def picture(name, solution, view, size, noise) -> None:
+    def draw():
+        return rad.render(solution, rad.Camera(**view), *size, "gather", tolerance=noise, progress=False)
+
+    image = timed(f"{name}, {size[0]} x {size[1]} pixels gathered to {noise:.1%}", draw)
+    rad.save_image(FOLDER / f"{name}.png", image)
+
+
+def timed(what, work):
+    start = perf_counter()
+    result = work()
+    print(f"{what}: {perf_counter() - start:.1f} s", flush=True)
+    return result
+
+
+if __name__ == "__main__":
+    drawings = {"theatre": theatre, "gallery": gallery, "shadings": shadings}
+    for name in sys.argv[1:] or drawings:
+        drawings[name]()

@@ -1,0 +1,50 @@
+"""Plots of numbers: what is drawn is what the numbers are. Strips, links and meshes have tests beside what they show."""
+
+import numpy as np
+import pytest
+
+import radiosity as rad
+
+VIEW = rad.Camera(**rad.scenes.cornell_box_view())
+
+
+@pytest.fixture(scope="module")
+def factors():
+    return rad.form_factors(rad.scenes.cornell_box(max_edge=0.3), 0.05, progress=False)
+
+
+def test_false_colours_show_the_irradiance(factors):
+    scene = factors.scene
+    solution = rad.solve_system(factors, scene.emission, scene.reflectance, progress=False)
+    figure = rad.plot.irradiance(solution, VIEW, size=60, shading="flat")
+    shown = figure.axes[0].images[0].get_array()
+    # The middle of the back wall, on one patch.
+    hits = scene.intersect(np.array([VIEW.origin]), np.array([[0.01, 0.08, 1.0]]))
+    at = solution.irradiance[hits.patch[0]].sum()
+    assert np.isclose(shown, at, rtol=1e-9).any()
+    assert figure.axes[1].get_ylabel() == "irradiance, W/m^2"
+    figure = rad.plot.irradiance(solution, VIEW, size=20, most=5.0)
+    assert figure.axes[0].images[0].get_clim() == (0.0, 5.0)
+    with pytest.raises(ValueError, match="without a scene"):
+        rad.plot.irradiance(rad.solve_system(np.zeros((2, 2)), 1.0, 0.5, progress=False), VIEW)
+
+
+def test_the_histogram_counts_every_row(factors):
+    axes = rad.plot.row_sums(factors).axes[0]
+    assert sum(patch.get_height() for patch in axes.patches) == factors.shape[0]
+
+
+def test_convergence_draws_every_residual(factors):
+    scene = factors.scene
+    solutions = [
+        rad.solve_system(factors, scene.emission, scene.reflectance, method, progress=False)
+        for method in ("jacobi", "gauss_seidel", "gmres")
+    ]
+    axes = rad.plot.convergence(solutions).axes[0]
+    for line, solution in zip(axes.lines, solutions, strict=True):
+        np.testing.assert_array_equal(line.get_ydata(), [step.residual for step in solution.history])
+        assert line.get_label() == solution.report.method
+    with pytest.raises(ValueError, match="no solution"):
+        rad.plot.convergence([])
+    with pytest.raises(ValueError, match="labels"):
+        rad.plot.convergence(solutions, ["one"])
