@@ -133,7 +133,7 @@ impl Lamps {
         if free {
             return 0;
         }
-        let (asked, segments) = self.ask(points, &factors, numbers);
+        let (asked, segments) = self.ask(points, &factors, |_, _| 1.0, numbers);
         for (Asked { point: k, lamp: l, weight }, blocked) in asked.into_iter().zip(blockers.blocked(&segments)) {
             let sign = match (in_view(points[k].patch, l), blocked) {
                 (true, true) => -1.0,
@@ -155,19 +155,20 @@ impl Lamps {
         factors
     }
 
-    /// Asks one lamp a point whether it is seen, with probability p_l in proportion to E_l F_l: the segments to cast, and what
-    /// each of them stands for. Points without light ask nothing.
+    /// Asks one lamp a point whether it is seen, with probability p_l in proportion to E_l F_l times the `interest` in lamp l at
+    /// point k: the segments to cast, and what each of them stands for. Points without light ask nothing.
     pub fn ask(
         &self,
         points: &[Point],
         factors: &[f64],
+        interest: impl Fn(usize, usize) -> f64,
         numbers: impl Fn(usize) -> [f64; 2],
     ) -> (Vec<Asked>, Vec<Segment>) {
         let count = self.lamps.len();
         let powers: Vec<f64> = (0..count).map(|l| self.power(l)).collect();
         let (mut asked, mut segments) = (Vec::new(), Vec::new());
         for (k, point) in points.iter().enumerate() {
-            let share = |l: usize| powers[l] * factors[l * points.len() + k];
+            let share = |l: usize| powers[l] * factors[l * points.len() + k] * interest(k, l);
             let total: f64 = (0..count).map(share).sum();
             if !(total > 0.0) {
                 continue;

@@ -3,8 +3,13 @@
 //!
 //!   L = (E + rho (H_direct + H_indirect)) / pi
 //!
-//! H_direct is what the lamps send there: their form factors from the point in closed form, times the fraction of each that is
-//! seen, by segments; pixels where segments disagree, and those around them, get more. H_indirect is gathered by rays that carry
+//! H_direct is what the lamps send there. A tile of the image knows from earlier segments how much c_l of each lamp is seen; a point
+//! asks one lamp more, with probability p_l, at a random place z with weight w ([`crate::direct::lamp`]):
+//!
+//!   H_direct ~ sum over l of c_l E_l F_l  +  E_l w / p_l (V - c_l),    mean over V:  sum over l of E_l integral of V K
+//!
+//! F_l is the closed form: without bias whatever c is, and without noise where all of a tile sees a lamp, or nothing does. Pixels
+//! where the second term counts, and those around them, get more samples. H_indirect is gathered by rays that carry
 //! what the solution says of where they end, at few points ([`super::irradiance_cache`]). So the patches show only in light that
 //! has been reflected twice.
 //!
@@ -68,6 +73,13 @@ const RAYS_ALONE: usize = 8;
 /// Pixels that are worked on together.
 const TOGETHER: usize = 256;
 const HALVES: usize = 2;
+/// Pixels each way of a tile that learns which lamps are seen; at first from one pixel in this many each way.
+const TILE: usize = 16;
+const GLANCE: usize = 4;
+/// Interest in lamps that a tile sees all of, or nothing, where 1/2 is the most: a sliver of a shadow must not escape for ever.
+const WATCH: f64 = 0.1;
+/// Samples of a pixel disagree when visibility not known beforehand makes more than this part of its light.
+const UNCERTAIN: f64 = 0.05;
 /// Passes after which nothing more is to be hoped for.
 const MOST_PASSES: usize = 1 << 14;
 
@@ -97,10 +109,19 @@ pub fn gather(
     let lamps = Lamps::of_scene(scene)?;
     let blockers = Bvh::of_blockers(scene);
     let gatherer = Gatherer { scene, tree, lamps: &lamps, irradiance };
-    let view = View { gatherer, blockers: &blockers, camera, width, height, seed, sight: Sight::new(scene) };
+    let mut view = View {
+        gatherer,
+        blockers: &blockers,
+        camera,
+        width,
+        height,
+        seed,
+        sight: Sight::new(scene),
+        seen: vec![0.0; width.div_ceil(TILE) * height.div_ceil(TILE) * lamps.lamps.len() * 2],
+    };
     let mut sums = [(); HALVES].map(|()| vec![0.0; width * height * bands]);
     let mut emits = vec![false; width * height];
-    let (mut passes, mut rays) = (0, 0);
+    let (mut passes, mut rays) = (0, view.glance(progress)?);
     loop {
         for (half, sums) in sums.iter_mut().enumerate() {
             rays += view.add(half, passes, sums, &mut emits, progress)?;
@@ -142,6 +163,8 @@ struct View<'a> {
     height: usize,
     seed: u64,
     sight: Sight<'a>,
+    /// Of every tile and lamp: the weights of segments that have seen it, and of all.
+    seen: Vec<f64>,
 }
 
 /// What samples have found of one pixel beside its radiance.
@@ -154,8 +177,45 @@ struct Found {
 }
 
 impl View<'_> {
+    fn tile(&self, pixel: usize) -> usize {
+        pixel / self.width / TILE * self.width.div_ceil(TILE) + pixel % self.width / TILE
+    }
+
+    /// How much of lamp l a tile sees, as far as is known.
+    fn known(&self, tile: usize, l: usize) -> f64 {
+        let at = 2 * (tile * self.gatherer.lamps.lamps.len() + l);
+        if self.seen[at + 1] > 0.0 { self.seen[at] / self.seen[at + 1] } else { 1.0 }
+    }
+
+    /// Takes in what segments have seen.
+    fn learn(&mut self, seen: &[f64]) {
+        self.seen.iter_mut().zip(seen).for_each(|(sum, more)| *sum += more);
+    }
+
+    /// Tells the tiles first of all which lamps they see; returns the rays cast.
+    fn glance(&mut self, progress: &Progress) -> Result<u64> {
+        if self.seen.is_empty() || self.blockers.is_empty() {
+            return Ok(0);
+        }
+        let width = self.width;
+        let mut pixels = vec![0.0; self.height * width * self.gatherer.scene.bands()];
+        let mut found = vec![Found::default(); self.height * width];
+        let stream = hash(self.seed ^ hash(2 * HALVES as u64));
+        let is_wanted = |pixel: usize| (pixel / width).is_multiple_of(GLANCE) && (pixel % width).is_multiple_of(GLANCE);
+        let (rays, seen) = self.look_at(None, is_wanted, 0..SAMPLES, stream, &mut pixels, &mut found, progress)?;
+        self.learn(&seen);
+        Ok(rays)
+    }
+
     /// Adds one pass of one half; returns the rays cast.
-    fn add(&self, half: usize, pass: usize, sums: &mut [f64], emits: &mut [bool], progress: &Progress) -> Result<u64> {
+    fn add(
+        &mut self,
+        half: usize,
+        pass: usize,
+        sums: &mut [f64],
+        emits: &mut [bool],
+        progress: &Progress,
+    ) -> Result<u64> {
         progress.expect(self.height as u64);
         let seed = hash(self.seed ^ hash((pass * HALVES + half) as u64));
         let detail = DETAIL / ((pass + 1) as f64).sqrt().min(FINEST);
@@ -166,57 +226,75 @@ impl View<'_> {
         let numbers = |count: u32| pass as u32 * count..(pass as u32 + 1) * count;
         let stream = |k: usize| hash(self.seed ^ hash((2 * half + k) as u64));
         let mut rays = cache.rays;
-        rays += self.look_at(&cache, |_| true, numbers(SAMPLES), stream(0), &mut pixels, &mut found, progress)?;
+        let (cast, seen) =
+            self.look_at(Some(&cache), |_| true, numbers(SAMPLES), stream(0), &mut pixels, &mut found, progress)?;
         let disagree: Vec<bool> = found.iter().map(|found| found.disagree).collect();
         let uneven = around(&disagree, self.width);
         let again = numbers(SAMPLES_AT_EDGES);
-        rays += self.look_at(&cache, |pixel| uneven[pixel], again, stream(1), &mut pixels, &mut found, progress)?;
+        let (more, seen_again) =
+            self.look_at(Some(&cache), |pixel| uneven[pixel], again, stream(1), &mut pixels, &mut found, progress)?;
+        rays += cast + more;
+        self.learn(&seen);
+        self.learn(&seen_again);
         sums.iter_mut().zip(&pixels).for_each(|(sum, value)| *sum += value);
         emits.iter_mut().zip(&found).for_each(|(emits, found)| *emits |= found.emits);
         progress.advance(self.height as u64)?;
         Ok(rays)
     }
 
-    /// Replaces the radiance of the wanted pixels by that of samples number `numbers`; returns the rays cast.
+    /// Replaces the radiance of the wanted pixels by that of samples number `numbers`; returns the rays cast, and what the tiles have
+    /// seen. Without a cache only direct light counts.
     #[expect(clippy::too_many_arguments, reason = "of one caller")]
     fn look_at(
         &self,
-        cache: &IrradianceCache,
+        cache: Option<&IrradianceCache>,
         wanted: impl Fn(usize) -> bool + Sync,
         numbers: Range<u32>,
         stream: u64,
         pixels: &mut [f64],
         found: &mut [Found],
         progress: &Progress,
-    ) -> Result<u64> {
+    ) -> Result<(u64, Vec<f64>)> {
         let (width, bands) = (self.width, self.gatherer.scene.bands());
-        let of_row = |(y, (row, found)): (usize, (&mut [f64], &mut [Found]))| -> Result<u64> {
+        let per_row = self.seen.len() / self.height.div_ceil(TILE);
+        let of_tiles = |(band, (rows, found)): (usize, (&mut [f64], &mut [Found]))| -> Result<(u64, Vec<f64>)> {
             progress.advance(0)?;
-            let wanted: Vec<usize> = (y * width..(y + 1) * width).filter(|&pixel| wanted(pixel)).collect();
-            let mut rays = 0;
+            let first = band * TILE * width;
+            let wanted: Vec<usize> = (first..first + found.len()).filter(|&pixel| wanted(pixel)).collect();
+            let (mut rays, mut seen) = (0, vec![0.0; per_row]);
             for part in wanted.chunks(TOGETHER) {
-                let (radiance, seen, cast) = self.look(cache, part, numbers.clone(), stream);
-                for ((&pixel, radiance), seen) in part.iter().zip(radiance.chunks_exact(bands)).zip(seen) {
-                    let x = pixel - y * width;
-                    row[x * bands..][..bands].copy_from_slice(radiance);
-                    found[x] = Found { emits: found[x].emits || seen.emits, ..seen };
+                let (radiance, of_pixels, cast) =
+                    self.look(cache, part, numbers.clone(), stream, band * per_row, &mut seen);
+                for ((&pixel, radiance), own) in part.iter().zip(radiance.chunks_exact(bands)).zip(of_pixels) {
+                    let at = pixel - first;
+                    rows[at * bands..][..bands].copy_from_slice(radiance);
+                    found[at] = Found { emits: found[at].emits || own.emits, ..own };
                 }
                 rays += cast;
             }
-            Ok(rays)
+            Ok((rays, seen))
         };
-        let rows = pixels.par_chunks_mut(width * bands).zip(found.par_chunks_mut(width)).enumerate();
-        let rays: Result<Vec<u64>> = rows.map(of_row).collect();
-        Ok(rays?.into_iter().sum())
+        let tiles = pixels.par_chunks_mut(TILE * width * bands).zip(found.par_chunks_mut(TILE * width)).enumerate();
+        let found: Result<Vec<(u64, Vec<f64>)>> = tiles.map(of_tiles).collect();
+        let (mut rays, mut seen) = (0, Vec::with_capacity(self.seen.len()));
+        for (cast, of_band) in found? {
+            rays += cast;
+            seen.extend(of_band);
+        }
+        Ok((rays, seen))
     }
 
-    /// The radiance of some pixels by samples number `numbers` of each, what else they found, and the rays cast.
+    /// The radiance of some pixels by samples number `numbers` of each, what else they found, and the rays cast. What segments see
+    /// is added to `seen`, the part of [`View::seen`] from `offset` on.
+    #[expect(clippy::too_many_arguments, reason = "of one caller")]
     fn look(
         &self,
-        cache: &IrradianceCache,
+        cache: Option<&IrradianceCache>,
         pixels: &[usize],
         numbers: Range<u32>,
         stream: u64,
+        offset: usize,
+        seen: &mut [f64],
     ) -> (Vec<f64>, Vec<Found>, u64) {
         let Gatherer { scene, tree, lamps, .. } = self.gatherer;
         let (bands, each) = (scene.bands(), numbers.len());
@@ -251,46 +329,52 @@ impl View<'_> {
             // Nothing at all is no disagreement.
             return (vec![0.0; pixels.len() * bands], vec![Found::default(); pixels.len()], rays.len() as u64);
         }
-        // Points of one pixel on one surface see the same of the lamps.
-        let (mut surfaces, mut first): (Vec<usize>, usize) = (Vec::with_capacity(points.len()), 0);
-        let mut representatives: Vec<usize> = Vec::new();
-        for (m, point) in points.iter().enumerate() {
-            if m > 0 && of[m] / each != of[m - 1] / each {
-                first = representatives.len();
-            }
-            let own = (first..representatives.len()).find(|&s| is_same_surface(&points[representatives[s]], point));
-            surfaces.push(own.unwrap_or(representatives.len()));
-            if own.is_none() {
-                found[of[m] / each].disagree |= representatives.len() > first;
-                representatives.push(m);
-            }
+        for (m, point) in points.iter().enumerate().skip(1) {
+            let is_same = of[m] / each != of[m - 1] / each || is_same_surface(&points[m - 1], point);
+            found[of[m] / each].disagree |= !is_same;
         }
         let factors = lamps.form_factors(&points);
         let count = lamps.lamps.len();
-        let mut seen = vec![[0.0; 2]; representatives.len() * count];
+        let tile = |m: usize| self.tile(pixels[of[m] / each]);
         let mut cast = rays.len();
+        // E_l w / p_l (V - c_l), one a point.
+        let mut corrections: Vec<Option<(usize, f64)>> = vec![None; points.len()];
         if !self.blockers.is_empty() {
-            let (asked, segments) = lamps.ask(&points, &factors, |m| [samples[of[m]][2], samples[of[m]][3]]);
+            let interest = |m: usize, l: usize| {
+                let c = self.known(tile(m), l);
+                (c * (1.0 - c)).sqrt() + WATCH
+            };
+            let (asked, segments) = lamps.ask(&points, &factors, interest, |m| [samples[of[m]][2], samples[of[m]][3]]);
             cast += segments.len();
             for (Asked { point, lamp, weight }, blocked) in asked.into_iter().zip(self.blockers.blocked(&segments)) {
-                let [visible, all] = &mut seen[surfaces[point] * count + lamp];
-                *all += weight;
-                *visible += if blocked { 0.0 } else { weight };
+                let visible = if blocked { 0.0 } else { 1.0 };
+                let at = 2 * (tile(point) * count + lamp) - offset;
+                seen[at] += visible * weight;
+                seen[at + 1] += weight;
+                corrections[point] = Some((lamp, weight * (visible - self.known(tile(point), lamp))));
             }
         }
-        let fractions: Vec<f64> = seen.chunks(count.max(1)).flat_map(fractions).collect();
         let mut radiance = vec![0.0; pixels.len() * bands];
         let mut arriving = vec![0.0; bands];
         for (m, point) in points.iter().enumerate() {
             let (pixel, i) = (of[m] / each, point.patch as usize * bands);
             arriving.fill(0.0);
             for (l, lamp) in lamps.lamps.iter().enumerate() {
-                let fraction = fractions[surfaces[m] * count + l];
-                found[pixel].disagree |= fraction > 0.0 && fraction < 1.0;
-                let f = factors[l * points.len() + m] * fraction;
-                arriving.iter_mut().zip(&lamp.emission).for_each(|(h, e)| *h += f * e);
+                let f = factors[l * points.len() + m];
+                if f > 0.0 {
+                    let f = f * if self.blockers.is_empty() { 1.0 } else { self.known(tile(m), l) };
+                    arriving.iter_mut().zip(&lamp.emission).for_each(|(h, e)| *h += f * e);
+                }
             }
-            if !cache.add(place(of[m]), point, &mut arriving) {
+            if let Some((l, correction)) = corrections[m] {
+                for (h, e) in arriving.iter_mut().zip(&lamps.lamps[l].emission) {
+                    found[pixel].disagree |= (correction * e).abs() > UNCERTAIN * h.abs();
+                    *h += correction * e;
+                }
+            }
+            if let Some(cache) = cache
+                && !cache.add(place(of[m]), point, &mut arriving)
+            {
                 let number = u64::from(numbers.start) + (of[m] % each) as u64;
                 let seed = hash(stream ^ hash((pixels[pixel] as u64) << 32 | number));
                 self.gatherer.gather(&[*point], RAYS_ALONE, &[seed], &mut arriving);
@@ -304,11 +388,4 @@ impl View<'_> {
         }
         (radiance, found, cast as u64)
     }
-}
-
-/// The visible fraction of every lamp by (visible, all) of the weights asked: that of all together for those which nobody asked.
-fn fractions(seen: &[[f64; 2]]) -> Vec<f64> {
-    let [visible, all] = seen.iter().fold([0.0, 0.0], |[v, a], seen| [v + seen[0], a + seen[1]]);
-    let together = if all > 0.0 { visible / all } else { 1.0 };
-    seen.iter().map(|[visible, all]| if *all > 0.0 { visible / all } else { together }).collect()
 }

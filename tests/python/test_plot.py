@@ -1,4 +1,4 @@
-"""Plots of numbers: what is drawn is what the numbers are. Strips, links and meshes have tests beside what they show."""
+"""Plots of numbers: what is drawn is what the numbers are. Strips, links and meshes are tested with what they show."""
 
 import numpy as np
 import pytest

@@ -65,6 +65,34 @@ fn light_straight_from_a_lamp_in_full_view_is_exact() {
 }
 
 #[test]
+fn what_one_lamp_shows_says_nothing_of_another() {
+    // Two lamps over a floor; a plate close under one of them hides it from what is seen of the floor, but for its edge.
+    let square = |x: f64, y: f64, z: f64, size: f64| plate(vec3(x, y, z), size * Vec3::Y, size * Vec3::X, 1);
+    let mesh = plate(vec3(-1.0, -1.0, 0.0), 2.0 * Vec3::X, 2.0 * Vec3::Y, 1)
+        .and(&square(-0.7, -0.2, 1.0, 0.4))
+        .and(&square(0.3, -0.2, 1.0, 0.4))
+        .and(&square(0.2, -0.3, 0.9, 0.6));
+    let emission = |i: usize| if (2..6).contains(&i) { 1.0 } else { 0.0 };
+    let scene = mesh.scene_with(1, Sides::Front, |i, _| if i < 2 { 1.0 } else { 0.0 }, |i, _| emission(i));
+    let lamp = |x: f64| {
+        let corners = [vec3(x, -0.2, 1.0), vec3(x, 0.2, 1.0), vec3(x + 0.4, 0.2, 1.0), vec3(x + 0.4, -0.2, 1.0)];
+        Lamp::new(corners.to_vec(), vec![1.0])
+    };
+    let (seen, hidden) = (lamp(-0.7), lamp(0.3));
+    // Under the plate, where it hides all of its lamp.
+    let camera = Camera::new(vec3(0.5, 0.0, 0.5), vec3(0.5, 0.0, 0.0), Vec3::Y, 20.0).unwrap();
+    let found = try_gather(&scene, &vec![0.0; scene.len()], &camera, &options(2e-3)).unwrap();
+    for (pixel, radiance) in found.pixels.iter().enumerate() {
+        let (x, y) = ((pixel % 24) as f64 + 0.5, (pixel / 24) as f64 + 0.5);
+        let direction = camera.direction(x, y, 24, 16);
+        let x = camera.origin() - camera.origin().z / direction.z * direction;
+        let of = |lamp: &Lamp| lamp.form_factor(&Point { x, normal: Vec3::Z, patch: 0 }) / PI;
+        assert!(of(&hidden) > of(&seen), "what is hidden would be brighter");
+        assert_close(*radiance, of(&seen), 0.02 * of(&seen));
+    }
+}
+
+#[test]
 fn pictures_are_the_same_bits_for_any_number_of_threads_and_end_at_the_tolerance() {
     let scene = box_in_box(2).scene_with(2, Sides::Front, |_, b| 0.3 + 0.4 * b as f64, |i, _| f64::from(i < 2));
     let camera = Camera::new(vec3(0.1, 0.1, 0.1), Vec3::splat(0.5), Vec3::Z, 90.0).unwrap();
