@@ -286,7 +286,6 @@ impl View<'_> {
 
     /// The radiance of some pixels by samples number `numbers` of each, what else they found, and the rays cast. What segments see
     /// is added to `seen`, the part of [`View::seen`] from `offset` on.
-    #[expect(clippy::too_many_arguments, reason = "of one caller")]
     fn look(
         &self,
         cache: Option<&IrradianceCache>,
