@@ -7,9 +7,11 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use super::functions::{Moments, Place, place};
-use super::tree::NONE;
 use crate::geometry::polygon::centre;
 use crate::scene::Scene;
+
+/// No node.
+pub const NONE: u32 = u32::MAX;
 
 /// Normals that vary more than this, 1 - |mean|^2, are parted before places are.
 const FACING: f64 = 0.25;

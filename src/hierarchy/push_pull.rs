@@ -6,7 +6,8 @@
 
 use std::ops::Range;
 
-use super::tree::{NONE, Tree};
+use super::clusters::NONE;
+use super::tree::Tree;
 
 /// The tree as products see it, and where the numbers of every node stand in an array that holds K x `bands` of each.
 #[derive(Debug, Clone)]

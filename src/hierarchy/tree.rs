@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use super::clusters::{Draft, SAME, drafts};
+use super::clusters::{Draft, NONE, SAME, drafts};
 use super::functions::{Functions, MOST, Moments, Place, place};
 use crate::assembly::Order;
 use crate::geometry::polygon::{Plane, area, centre};
@@ -17,9 +17,6 @@ use crate::geometry::{Triangle, Vec3};
 use crate::scene::Scene;
 use crate::visibility::NO_PATCH;
 use crate::visibility::bodies::Bodies;
-
-/// No node.
-pub const NONE: u32 = u32::MAX;
 
 /// Places from which a node is looked at, at most.
 pub const SAMPLES: usize = 8;
