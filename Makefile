@@ -51,7 +51,7 @@ viewer:
 	cp target/viewer/bundle.js $(VIEWER)/bundle.js
 
 # The environment is made anew when what it is built from has changed.
-SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find src python -name '*.rs' -o -name '*.py' -o -name '*.pyi')
+SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find src python -name '*.rs' -o -name '*.py' -o -name '*.pyi' -o -name '*.js' -o -name '*.html')
 
 .venv/demo: $(SOURCES) | .venv/bin/python
 	sh tests/install_llvm.sh

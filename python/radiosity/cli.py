@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from . import __version__, scenes
+from .arrays import whole_number
 from .bench import run as run_bench
 from .demo import run as run_demo
 from .files import replacing
@@ -26,7 +27,7 @@ from .solution import ConvergenceError, Solution
 from .solve import METHODS, solve
 from .view import UNITS, show
 
-_SCENES = ("colonnade", "cornell_box", "furnace", "parallel_plates", "two_rooms")
+_SCENES = ("colonnade", "cornell_box", "furnace", "gallery", "parallel_plates", "theatre", "two_rooms")
 _PAGES = (".html", ".htm")
 
 
@@ -130,6 +131,8 @@ def _add_camera(parser: argparse.ArgumentParser) -> None:
 
 def _solve(options: argparse.Namespace) -> None:
     _check_output(options.output, (*SOLUTION_FORMATS, *_PAGES))
+    if options.lightmap is not None and Path(options.output).suffix.lower() != ".glb":
+        raise ValueError(f"{options.output}: only .glb files have a lightmap")
     solution = _solved(_scene(options), options)
     if Path(options.output).suffix.lower() in _PAGES:
         show(solution, _camera(options)).save(options.output)
@@ -141,10 +144,16 @@ def _solve(options: argparse.Namespace) -> None:
 def _render(options: argparse.Namespace) -> None:
     _check_output(options.output, IMAGE_FORMATS)
     camera = _camera(options)
+    width, height = (
+        whole_number(name, size, 1, 1 << 20) for name, size in zip(("width", "height"), options.size, strict=True)
+    )
+    if not 0.0 < options.noise < 1.0:
+        raise ValueError(f"noise {options.noise} is outside (0, 1)")
+    if options.exposure is not None and not 0.0 < options.exposure < float("inf"):
+        raise ValueError(f"exposure {options.exposure} is not a positive number")
     if camera is None:
         raise ValueError("say where the camera stands and what it looks at: --origin X Y Z --target X Y Z")
     solution = _solution(options)
-    width, height = options.size
     image = render(
         solution,
         camera,
@@ -227,7 +236,7 @@ def _solution(options: argparse.Namespace) -> Solution:
 
 
 def _camera(options: argparse.Namespace) -> Camera | None:
-    """The camera asked for; that of the Cornell box where it is looked at; else None."""
+    """The camera asked for; that of a built-in scene that has one; else None."""
     parts = {
         name: value for name in ("origin", "target", "up", "fov") if (value := getattr(options, name, None)) is not None
     }
@@ -236,9 +245,8 @@ def _camera(options: argparse.Namespace) -> Camera | None:
     if parts:
         raise ValueError("a camera needs both --origin X Y Z and --target X Y Z")
     asked = getattr(options, "solution", getattr(options, "scene", None))
-    if asked != "cornell_box":
-        return None
-    return Camera(**scenes.cornell_box_view())  # type: ignore[arg-type]
+    view = getattr(scenes, f"{asked}_view", None) if asked in _SCENES else None
+    return None if view is None else Camera(**view())
 
 
 def _tell(options: argparse.Namespace, text: str) -> None:

@@ -256,7 +256,7 @@ def irradiance(
         solution: of a scene.
         camera: the viewpoint.
         size: width and height, pixels.
-        shading: as in :func:`radiosity.render`.
+        shading: ``"flat"`` or ``"smooth"``.
         most: irradiance at the end of the colours; None for the 99th percentile of what is seen.
 
     Returns:
@@ -268,6 +268,8 @@ def irradiance(
     """
     from matplotlib.figure import Figure
 
+    if shading == "gather":
+        raise ValueError("false colours show the irradiance as it was solved: shading is 'flat' or 'smooth'")
     shown = solution.as_shown
     scene = shown.scene
     if scene is None:

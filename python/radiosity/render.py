@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,12 +114,17 @@ def render(
         raise ValueError("this solution was made from a plain matrix and knows no geometry; solve form_factors(scene)")
     solution = solution.as_shown
     assert solution.scene is not None  # elements are those of a scene
+    shape = (solution.scene.n_patches, solution.scene.bands)
+    if not solution.radiosity.shape == solution.irradiance.shape == shape:
+        raise ValueError(f"the solution has shape {solution.radiosity.shape}, and its scene {shape}")
+    if on_image is not None and not callable(on_image):
+        raise TypeError(f"on_image must be callable, not {type(on_image).__name__}")
     if shading not in SHADINGS:
         raise ValueError(f"unknown shading {shading!r}; the shadings are {SHADINGS}")
     width, height = (whole_number(name, size, 1, 1 << 20) for name, size in (("width", width), ("height", height)))
     with reporter(progress, "render") as report:
         if shading == "gather":
-            image, _, _, _ = _core.gather(
+            image, reached, passes, _ = _core.gather(
                 solution.scene._core,
                 solution.irradiance,
                 camera.origin,
@@ -134,6 +140,12 @@ def render(
                 thread_count(threads),
                 report,
             )
+            if reached > tolerance:
+                warnings.warn(
+                    f"the error from sampling is {reached:.2g} after {passes} passes, above {tolerance:g}",
+                    UserWarning,
+                    stacklevel=2,
+                )
             return image
         return _core.render(
             solution.scene._core,

@@ -105,14 +105,20 @@ def load_solution(path: str | os.PathLike[str]) -> Solution:
     except Exception as error:  # zipfile and zlib raise their own kinds
         raise ValueError(f"{path}: damaged ({error})") from error
     version = contents.get("version")
-    if version is None:
+    if version is None or np.shape(version):
         raise ValueError(f"{path}: no saved solution")
     if int(version) > _VERSION:
         raise ValueError(f"{path}: written by a later version of radiosity (layout {int(version)})")
     try:
-        return _solution_of(contents)
+        solution = _solution_of(contents)
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path}: damaged, {error!r} is missing or wrong") from error
+    shapes = {solution.radiosity.shape, solution.irradiance.shape}
+    if solution.scene is not None:
+        shapes.add((solution.scene.n_patches, solution.scene.bands))
+    if len(shapes) > 1:
+        raise ValueError(f"{path}: damaged, its arrays have the shapes {sorted(shapes)}")
+    return solution
 
 
 def _contents(solution: Solution) -> dict[str, Any]:

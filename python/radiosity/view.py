@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
-from .arrays import FloatArray, real_number
+from .arrays import FloatArray, real_number, whole_number
 from .files import replacing
 from .render import Camera, exposure_of
 from .scene import Scene
@@ -63,11 +63,17 @@ class View:
             Path(temporary).write_text(self.page, encoding="utf-8")
 
     def open(self) -> Path:
-        """Opens the page in the browser, from a temporary file, whose path is returned."""
+        """Opens the page in the browser, from a temporary file, whose path is returned.
+
+        Raises:
+            OSError: there is no browser.
+        """
         handle, name = tempfile.mkstemp(prefix="radiosity-", suffix=".html")
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(self.page)
-        webbrowser.open(Path(name).as_uri())
+        if not webbrowser.open(Path(name).as_uri()):
+            os.unlink(name)
+            raise OSError("there is no browser here: write the page with .save(path) or --output and open that")
         return Path(name)
 
 
@@ -125,8 +131,10 @@ def show(
         raise ValueError(
             f"a viewer shows 1 band (grey) or 3 (RGB), not {bands}; choose bands with scene.with_materials"
         )
-    if any(one.radiosity.shape != (n, bands) for one in shown):
-        raise ValueError("the solutions are not of one scene")
+    if not all(_is_same(one.scene, scene) for one in shown):
+        raise ValueError("the solutions are not of one scene with one set of materials")
+    height = whole_number("height", height, 1, 100_000)
+    _check_range(last)
     if labels is not None and len(labels) != len(shown):
         raise ValueError(f"{len(labels)} labels for {len(shown)} solutions")
     weights = _weights(unit, bands)
@@ -169,11 +177,25 @@ def show(
     }
     page = Template(_asset("page.html")).substitute(
         title=html.escape(title),
-        header=json.dumps(header).replace("<", "\\u003c"),
+        header=json.dumps(header, allow_nan=False).replace("<", "\\u003c"),
         data=base64.b64encode(zlib.compress(data, 9)).decode("ascii"),
         bundle=_asset("bundle.js").replace("</script", "<\\/script"),
     )
     return View(page, height)
+
+
+def _is_same(scene: Scene | None, other: Scene) -> bool:
+    names = ("vertices", "faces", "reflectance", "emission")
+    return scene is other or (
+        scene is not None and all(np.array_equal(getattr(scene, name), getattr(other, name)) for name in names)
+    )
+
+
+def _check_range(solution: Solution) -> None:
+    """Refuses what 32 bits cannot hold."""
+    most = float(np.abs(solution.radiosity).max(initial=float(solution.irradiance.max(initial=0.0))))
+    if most > 1e37 or 0.0 < most < 1e-30:
+        raise ValueError(f"a radiosity of {most:g} W/m^2 is outside 1e-30 .. 1e37, which a browser can show: scale it")
 
 
 def _asset(name: str) -> str:

@@ -73,9 +73,10 @@ const RAYS_ALONE: usize = 8;
 /// Pixels that are worked on together.
 const TOGETHER: usize = 256;
 const HALVES: usize = 2;
-/// Pixels each way of a tile that learns which lamps are seen; at first from one pixel in this many each way.
+/// Pixels each way of a tile that learns which lamps are seen.
 const TILE: usize = 16;
-const GLANCE: usize = 4;
+/// The first look is at one pixel in so many each way.
+const GLANCE: usize = 2;
 /// Interest in lamps that a tile sees all of, or nothing, where 1/2 is the most: a sliver of a shadow must not escape for ever.
 const WATCH: f64 = 0.1;
 /// Samples of a pixel disagree when visibility not known beforehand makes more than this part of its light.
@@ -104,8 +105,9 @@ pub fn gather(
         return Err(Error::Invalid(format!("tolerance {tolerance} is outside (0, 1)")));
     }
     let bands = scene.bands();
-    // Two sums, a pass, the picture, and copies of it for the caller; a pixel's share of the cache.
-    check_size([width, height, bands], 64, memory)?;
+    // Two sums, a pass, the picture, and copies of it for the caller; and the cache, whose grid goes a cell beyond the image.
+    let padded = |size: usize| size.saturating_add(2 * TILE).div_ceil(size.max(1)) as u64;
+    check_size([width, height, bands], 64 + 128 * padded(width).saturating_mul(padded(height)), memory)?;
     let lamps = Lamps::of_scene(scene)?;
     let blockers = Bvh::of_blockers(scene);
     let gatherer = Gatherer { scene, tree, lamps: &lamps, irradiance };
@@ -118,6 +120,7 @@ pub fn gather(
         seed,
         sight: Sight::new(scene),
         seen: vec![0.0; width.div_ceil(TILE) * height.div_ceil(TILE) * lamps.lamps.len() * 2],
+        disagree: vec![false; width * height],
     };
     let mut sums = [(); HALVES].map(|()| vec![0.0; width * height * bands]);
     let mut emits = vec![false; width * height];
@@ -138,20 +141,29 @@ pub fn gather(
     }
 }
 
-/// Half of the difference between the halves over their mean, RMS over the pixels in which no emitter is seen, the worst band.
+/// Half of the difference between the halves over their mean, RMS over the pixels in which no emitter is seen (over all, where all
+/// show one), the worst band; infinite where that is no number.
 fn spread(sums: &[Vec<f64>; HALVES], emits: &[bool], bands: usize) -> f64 {
-    let mut totals = vec![[0.0f64; 2]; bands];
-    // In units of the largest, squares neither overflow nor vanish.
-    let unit = sums[0].iter().fold(f64::MIN_POSITIVE, |peak, x| peak.max(x.abs()));
-    for ((a, b), _) in sums[0].chunks(bands).zip(sums[1].chunks(bands)).zip(emits).filter(|(_, emits)| !**emits) {
-        for (total, (a, b)) in totals.iter_mut().zip(a.iter().zip(b)) {
-            let [a, b] = [a / unit, b / unit];
-            total[0] += (a - b).powi(2);
-            total[1] += (a + b).powi(2);
+    let all_emit = emits.iter().all(|emits| *emits);
+    let relative = |band: usize| {
+        let of_half = |half: usize| {
+            let values = sums[half].iter().skip(band).step_by(bands).zip(emits);
+            values.filter(move |(_, emits)| all_emit || !**emits).map(|(value, _)| *value)
+        };
+        // In units of the largest, squares neither overflow nor vanish.
+        let unit = of_half(0).chain(of_half(1)).fold(0.0f64, |peak, x| peak.max(x.abs()));
+        if unit == 0.0 {
+            return 0.0;
         }
-    }
-    let relative = |[difference, sum]: [f64; 2]| if sum > 0.0 { (difference / sum).sqrt() } else { 0.0 };
-    totals.into_iter().map(relative).fold(0.0, f64::max)
+        let (mut difference, mut sum) = (0.0, 0.0);
+        for (a, b) in of_half(0).zip(of_half(1)) {
+            difference += (a / unit - b / unit).powi(2);
+            sum += (a / unit + b / unit).powi(2);
+        }
+        let relative = (difference / sum).sqrt();
+        if relative.is_nan() { f64::INFINITY } else { relative }
+    };
+    (0..bands).map(relative).fold(0.0, f64::max)
 }
 
 /// What is looked at.
@@ -165,6 +177,9 @@ struct View<'a> {
     sight: Sight<'a>,
     /// Of every tile and lamp: the weights of segments that have seen it, and of all.
     seen: Vec<f64>,
+    /// Pixels whose samples have disagreed so far. What a pass finds counts from the next on: a pixel that kept the samples which
+    /// agree, and took others in place of those which do not, would favour what is seen most.
+    disagree: Vec<bool>,
 }
 
 /// What samples have found of one pixel beside its radiance.
@@ -187,23 +202,21 @@ impl View<'_> {
         if self.seen[at + 1] > 0.0 { self.seen[at] / self.seen[at + 1] } else { 1.0 }
     }
 
-    /// Takes in what segments have seen.
-    fn learn(&mut self, seen: &[f64]) {
+    /// Takes in what a pass has found.
+    fn learn(&mut self, seen: &[f64], found: &[Found]) {
         self.seen.iter_mut().zip(seen).for_each(|(sum, more)| *sum += more);
+        self.disagree.iter_mut().zip(found).for_each(|(disagree, found)| *disagree |= found.disagree);
     }
 
-    /// Tells the tiles first of all which lamps they see; returns the rays cast.
+    /// Looks first of all which lamps the tiles see, and where samples disagree; returns the rays cast.
     fn glance(&mut self, progress: &Progress) -> Result<u64> {
-        if self.seen.is_empty() || self.blockers.is_empty() {
-            return Ok(0);
-        }
-        let width = self.width;
-        let mut pixels = vec![0.0; self.height * width * self.gatherer.scene.bands()];
-        let mut found = vec![Found::default(); self.height * width];
+        let mut pixels = vec![0.0; self.disagree.len() * self.gatherer.scene.bands()];
+        let mut found = vec![Found::default(); self.disagree.len()];
         let stream = hash(self.seed ^ hash(2 * HALVES as u64));
+        let width = self.width;
         let is_wanted = |pixel: usize| (pixel / width).is_multiple_of(GLANCE) && (pixel % width).is_multiple_of(GLANCE);
         let (rays, seen) = self.look_at(None, is_wanted, 0..SAMPLES, stream, &mut pixels, &mut found, progress)?;
-        self.learn(&seen);
+        self.learn(&seen, &found);
         Ok(rays)
     }
 
@@ -226,16 +239,15 @@ impl View<'_> {
         let numbers = |count: u32| pass as u32 * count..(pass as u32 + 1) * count;
         let stream = |k: usize| hash(self.seed ^ hash((2 * half + k) as u64));
         let mut rays = cache.rays;
+        let uneven = around(&self.disagree, self.width);
+        let (few, many) = (numbers(SAMPLES), numbers(SAMPLES_AT_EDGES));
         let (cast, seen) =
-            self.look_at(Some(&cache), |_| true, numbers(SAMPLES), stream(0), &mut pixels, &mut found, progress)?;
-        let disagree: Vec<bool> = found.iter().map(|found| found.disagree).collect();
-        let uneven = around(&disagree, self.width);
-        let again = numbers(SAMPLES_AT_EDGES);
-        let (more, seen_again) =
-            self.look_at(Some(&cache), |pixel| uneven[pixel], again, stream(1), &mut pixels, &mut found, progress)?;
+            self.look_at(Some(&cache), |k| !uneven[k], few, stream(0), &mut pixels, &mut found, progress)?;
+        let (more, seen_there) =
+            self.look_at(Some(&cache), |k| uneven[k], many, stream(1), &mut pixels, &mut found, progress)?;
         rays += cast + more;
-        self.learn(&seen);
-        self.learn(&seen_again);
+        self.learn(&seen, &found);
+        self.learn(&seen_there, &[]);
         sums.iter_mut().zip(&pixels).for_each(|(sum, value)| *sum += value);
         emits.iter_mut().zip(&found).for_each(|(emits, found)| *emits |= found.emits);
         progress.advance(self.height as u64)?;
@@ -314,19 +326,21 @@ impl View<'_> {
         };
         let rays: Vec<Ray> = (0..samples.len()).map(ray).collect();
         let (mut of, mut points) = (Vec::with_capacity(rays.len()), Vec::with_capacity(rays.len()));
-        let mut found = vec![Found::default(); pixels.len()];
+        let (mut found, mut missed) = (vec![Found::default(); pixels.len()], vec![0; pixels.len()]);
         for (k, (ray, hit)) in rays.iter().zip(tree.closest(&rays)).enumerate() {
             match hit.filter(|hit| self.sight.is_front(hit, ray.direction)) {
                 Some(hit) => {
                     of.push(k);
                     points.push(Point::of_hit(scene, &hit));
                 }
-                None => found[k / each].disagree = true,
+                None => missed[k / each] += 1,
             }
         }
+        for (found, missed) in found.iter_mut().zip(missed) {
+            found.disagree = missed > 0 && missed < each;
+        }
         if points.is_empty() {
-            // Nothing at all is no disagreement.
-            return (vec![0.0; pixels.len() * bands], vec![Found::default(); pixels.len()], rays.len() as u64);
+            return (vec![0.0; pixels.len() * bands], found, rays.len() as u64);
         }
         for (m, point) in points.iter().enumerate().skip(1) {
             let is_same = of[m] / each != of[m - 1] / each || is_same_surface(&points[m - 1], point);

@@ -20,7 +20,7 @@ use crate::visibility::{Bvh, NO_PATCH, Ray};
 /// Pixels between the points where nothing changes.
 const SPACING: usize = 8;
 /// Rays from each of these; half as many from points that are half as far apart.
-const RAYS: usize = 96;
+const RAYS: usize = 80;
 /// Cosine of the largest angle between two points that are taken to lie on one surface (3 degrees), and its sine.
 const SAME: f64 = 0.9986;
 const BENT: f64 = 0.052;

@@ -157,6 +157,14 @@ def test_lux_and_elements_and_what_is_refused(solution, tmp_path):
         rad.show([solution.scene])
     with pytest.raises(ValueError, match="not of one scene"):
         rad.show([solution, hierarchical])
+    other = rad.solve(solution.scene.with_materials(0.3, solution.scene.emission), 0.3, progress=False)
+    with pytest.raises(ValueError, match="one set of materials"):
+        rad.show([solution, other])
+    with pytest.raises(TypeError, match="height"):
+        rad.show(solution, height="600px")
+    bright = rad.solve(solution.scene.with_materials(0.5, 1e100 * solution.scene.emission), 0.3, progress=False)
+    with pytest.raises(ValueError, match="a browser can show"):
+        rad.show(bright)
     with pytest.raises(ValueError, match="labels"):
         rad.show(solution, labels=["a", "b"])
     five = solution.scene.with_materials(0.5, np.arange(1.0, 6.0))

@@ -234,7 +234,8 @@ async function main() {
   }
   window.addEventListener("keydown", (event) => {
     const key = event.key.toLowerCase();
-    if (!/^(w|a|s|d|q|e|arrow(up|down|left|right))$/.test(key) || event.target.tagName === "SELECT") return;
+    const isOther = event.ctrlKey || event.metaKey || event.altKey || /^(SELECT|INPUT)$/.test(event.target.tagName);
+    if (isOther || !/^(w|a|s|d|q|e|arrow(up|down|left|right))$/.test(key)) return;
     event.preventDefault();
     const isFirst = !keys.size;
     keys.add(key);
@@ -246,15 +247,17 @@ async function main() {
   window.addEventListener("keyup", (event) => keys.delete(event.key.toLowerCase()));
   window.addEventListener("blur", () => keys.clear());
 
-  element("walk").addEventListener("change", (event) => {
+  function setWalk(isOn) {
+    element("walk").checked = isOn;
     const ahead = controls.target.clone().sub(camera.position);
     // From a point just ahead of the camera, orbiting is turning the head.
-    controls.target.copy(camera.position).add(ahead.setLength(event.target.checked ? 1e-3 * size : size));
-    controls.enableZoom = !event.target.checked;
-    controls.rotateSpeed = event.target.checked ? -0.4 : 1;
+    controls.target.copy(camera.position).add(ahead.setLength(isOn ? 1e-3 * size : size));
+    controls.enableZoom = !isOn;
+    controls.rotateSpeed = isOn ? -0.4 : 1;
     controls.update();
     draw();
-  });
+  }
+  element("walk").addEventListener("change", (event) => setWalk(event.target.checked));
   const choose = (name, value) => {
     state[name] = value;
     fill();
@@ -269,7 +272,10 @@ async function main() {
     material.needsUpdate = true;
     draw();
   });
-  element("reset").addEventListener("click", reset);
+  element("reset").addEventListener("click", () => {
+    setWalk(false);
+    reset();
+  });
   const slider = element("frame");
   slider.max = slider.value = frames.length - 1;
   element("frames").hidden = frames.length < 2;
