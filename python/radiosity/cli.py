@@ -27,7 +27,7 @@ from .solution import ConvergenceError, Solution
 from .solve import METHODS, solve
 from .view import UNITS, show
 
-_SCENES = ("colonnade", "cornell_box", "furnace", "gallery", "parallel_plates", "theatre", "two_rooms")
+_SCENES = tuple(name for name in scenes.__all__ if not name.endswith("_view"))
 _PAGES = (".html", ".htm")
 
 

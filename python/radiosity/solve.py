@@ -179,7 +179,7 @@ def solve(
         method: ``"rays"``, light straight from the lamps by closed forms and all other by quasi-random rays; or
             ``"dense"``, form factors of all pairs and GMRES, with one radiosity a patch; or ``"hierarchical"``, links
             between elements that are cut as small, and clusters of patches that are left as large, as the light asks
-            for. Its ``.elements`` are the adaptive mesh with its shadows: the tolerance holds on them point by point,
+            for. Its ``.elements`` are the adaptive mesh with its shadows: the tolerance holds on them as a whole, too,
             so that it costs more than patch averages would where patches are coarse. ``"auto"`` is ``"rays"``, which
             reach the same true error sooner in most scenes (``radiosity bench`` compares them).
         order: of the radiosity on a patch that rays find: 1, linear, or 0, constant. No other method looks at it.

@@ -13,7 +13,7 @@
 //! what the solution says of where they end, at few points ([`super::irradiance_cache`]). So the patches show only in light that
 //! has been reflected twice.
 //!
-//! The picture is the mean of two halves that know nothing of each other, each refined pass by pass along its own quasi-random
+//! The picture is the mean of two halves that share no more than what the tiles know, each refined pass by pass along its own quasi-random
 //! sequences and on grids moved by chance: half of their difference is the standard error.
 
 use std::f64::consts::PI;

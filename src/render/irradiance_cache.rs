@@ -127,7 +127,7 @@ impl IrradianceCache {
         let mut cells: Vec<[usize; 2]> = (0..rows - 1).step_by(SPACING).flat_map(of_row).collect();
         let mut size = SPACING;
         while !cells.is_empty() {
-            let rays = (RAYS * size / SPACING).max(1);
+            let rays = RAYS * size / SPACING;
             cache.fill(gatherer, camera, [width, height], &cells, size, rays, seed, progress)?;
             let mut next = Vec::new();
             for [x, y] in cells {
