@@ -221,7 +221,7 @@ def _packed(arrays: dict[str, npt.NDArray[Any]]) -> tuple[bytes, list[tuple[str,
 
 
 def _colours() -> tuple[list[str], list[int]]:
-    """Five colours of viridis (Smith & van der Walt 2015) and what lies between: a CSS gradient, and 256 RGBA colours."""
+    """Five colours of viridis (Smith & van der Walt 2015) and those between: a CSS gradient, and 256 colours, RGBA."""
     stops = np.array([[0.27, 0, 0.33], [0.23, 0.32, 0.55], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38], [0.99, 0.91, 0.14]])
     at = np.linspace(0, len(stops) - 1, 256)
     rgb = np.stack([np.interp(at, np.arange(len(stops)), stops[:, c]) for c in range(3)], axis=1)
