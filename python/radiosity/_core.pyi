@@ -24,6 +24,7 @@ _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
 _Report = Callable[[int, int], object]
 _Point = tuple[float, float, float]
+_Viewpoint = tuple[_Point, _Point, _Point, float]
 
 class _Solved(TypedDict):
     radiosity: _Floats
@@ -189,10 +190,7 @@ def corner_irradiance(scene: Scene, irradiance: _Floats, threads: int | None) ->
 def gather(
     scene: Scene,
     irradiance: _Floats,
-    origin: _Point,
-    target: _Point,
-    up: _Point,
-    fov: float,
+    viewpoint: _Viewpoint,
     width: int,
     height: int,
     tolerance: float,
@@ -201,15 +199,12 @@ def gather(
     on_image: Callable[[_Floats, float], object] | None,
     threads: int | None,
     progress: _Report | None,
-) -> tuple[_Floats, float, int, int]: ...
+) -> tuple[_Floats, float, int]: ...
 def render(
     scene: Scene,
     radiosity: _Floats,
     irradiance: _Floats,
-    origin: _Point,
-    target: _Point,
-    up: _Point,
-    fov: float,
+    viewpoint: _Viewpoint,
     width: int,
     height: int,
     smooth: bool,

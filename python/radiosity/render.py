@@ -122,15 +122,13 @@ def render(
     if shading not in SHADINGS:
         raise ValueError(f"unknown shading {shading!r}; the shadings are {SHADINGS}")
     width, height = (whole_number(name, size, 1, 1 << 20) for name, size in (("width", width), ("height", height)))
+    viewpoint = (camera.origin, camera.target, camera.up, float(camera.fov))
     with reporter(progress, "render") as report:
         if shading == "gather":
-            image, reached, passes, _ = _core.gather(
+            image, reached, passes = _core.gather(
                 solution.scene._core,
                 solution.irradiance,
-                camera.origin,
-                camera.target,
-                camera.up,
-                float(camera.fov),
+                viewpoint,
                 width,
                 height,
                 real_number("tolerance", tolerance),
@@ -151,10 +149,7 @@ def render(
             solution.scene._core,
             solution.radiosity,
             solution.irradiance,
-            camera.origin,
-            camera.target,
-            camera.up,
-            float(camera.fov),
+            viewpoint,
             width,
             height,
             shading == "smooth",

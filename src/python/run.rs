@@ -2,14 +2,14 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{RecvTimeoutError, channel};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 
 use super::error::to_python;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::progress::Progress;
 
 /// How often the waiting thread looks for Ctrl-C and reports progress.
@@ -62,6 +62,26 @@ pub(super) fn run<T: Send + 'static>(
                 }
             }
         }
+    }
+}
+
+/// An exception that a callback has raised on the worker's thread: it waits here until the worker has stopped.
+#[derive(Clone, Default)]
+pub(super) struct Raised(Arc<Mutex<Option<PyErr>>>);
+
+impl Raised {
+    /// Calls back with the GIL; an exception becomes the wish to stop.
+    pub(super) fn call(&self, callback: impl FnOnce(Python<'_>) -> PyResult<()>) -> Result<()> {
+        Python::attach(callback).map_err(|error| {
+            *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+            Error::Interrupted
+        })
+    }
+
+    /// What the worker has reached, or what made it stop.
+    pub(super) fn or<T>(&self, outcome: PyResult<T>) -> PyResult<T> {
+        let raised = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
+        raised.map_or(outcome, Err)
     }
 }
 

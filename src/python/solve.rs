@@ -1,6 +1,6 @@
 //! Solvers.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -9,8 +9,8 @@ use pyo3::types::PyDict;
 use super::assembly::FormFactors;
 use super::convert::{table, values, vector};
 use super::error::to_python;
-use super::run::run;
-use crate::error::{Error, Result};
+use super::run::{Raised, run};
+use crate::error::Result;
 use crate::solve::{Audit, Method, Options, Solved, Step, System};
 
 /// Returns a dictionary: the fields of the core's solution, and `failure`, the message when the iteration did not converge.
@@ -34,9 +34,8 @@ pub(super) fn solve<'py>(
     let operator = Arc::clone(&form_factors.operator);
     let bands = emission.as_array().ncols();
     let (emission, reflectance) = (values(&emission), values(&reflectance));
-    // An exception raised by `on_iteration` waits here until the worker has stopped.
-    let raised: Arc<Mutex<Option<PyErr>>> = Arc::default();
-    let slot = Arc::clone(&raised);
+    let raised = Raised::default();
+    let slot = raised.clone();
     let outcome = run(py, threads, progress.as_ref(), move |progress| {
         let system = System { form_factors: operator.as_ref(), emission: &emission, reflectance: &reflectance, bands };
         let options = Options { tolerance, max_iterations, memory };
@@ -46,23 +45,14 @@ pub(super) fn solve<'py>(
             progress.expect(1);
             progress.advance(1)?;
             let Some(callback) = &on_iteration else { return Ok(()) };
-            Python::attach(|py| {
-                let call = || -> PyResult<()> {
-                    let (b, r) = (table(py, radiosity.to_vec(), bands)?, table(py, unshot.to_vec(), bands)?);
-                    callback.call1(py, (count, b, r)).map(|_| ())
-                };
-                call().map_err(|error| {
-                    *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
-                    Error::Interrupted
-                })
+            slot.call(|py| {
+                let (b, r) = (table(py, radiosity.to_vec(), bands)?, table(py, unshot.to_vec(), bands)?);
+                callback.call1(py, (count, b, r)).map(|_| ())
             })
         };
         crate::solve::solve(&system, method, &options, &mut observe)
     });
-    if let Some(error) = raised.lock().unwrap_or_else(PoisonError::into_inner).take() {
-        return Err(error);
-    }
-    to_dict(py, outcome?, bands)
+    to_dict(py, raised.or(outcome)?, bands)
 }
 
 fn to_dict(py: Python<'_>, solved: Solved, bands: usize) -> PyResult<Bound<'_, PyDict>> {

@@ -57,8 +57,6 @@ pub struct Gathered {
     pub error_estimate: f64,
     /// Passes over the image.
     pub passes: usize,
-    /// Rays and segments cast.
-    pub rays: u64,
 }
 
 /// Samples of a pixel in one pass of one half, and of one whose samples disagree.
@@ -124,10 +122,11 @@ pub fn gather(
     };
     let mut sums = [(); HALVES].map(|()| vec![0.0; width * height * bands]);
     let mut emits = vec![false; width * height];
-    let (mut passes, mut rays) = (0, view.glance(progress)?);
+    view.glance(progress)?;
+    let mut passes = 0;
     loop {
         for (half, sums) in sums.iter_mut().enumerate() {
-            rays += view.add(half, passes, sums, &mut emits, progress)?;
+            view.add(half, passes, sums, &mut emits, progress)?;
         }
         view.sight.check(camera)?;
         passes += 1;
@@ -136,7 +135,7 @@ pub fn gather(
         let error_estimate = spread(&sums, &emits, bands);
         observe(&pixels, error_estimate)?;
         if error_estimate <= tolerance || passes == MOST_PASSES {
-            return Ok(Gathered { pixels, error_estimate, passes, rays });
+            return Ok(Gathered { pixels, error_estimate, passes });
         }
     }
 }
@@ -208,19 +207,19 @@ impl View<'_> {
         self.disagree.iter_mut().zip(found).for_each(|(disagree, found)| *disagree |= found.disagree);
     }
 
-    /// Looks first of all which lamps the tiles see, and where samples disagree; returns the rays cast.
-    fn glance(&mut self, progress: &Progress) -> Result<u64> {
+    /// Looks first of all which lamps the tiles see, and where samples disagree.
+    fn glance(&mut self, progress: &Progress) -> Result<()> {
         let mut pixels = vec![0.0; self.disagree.len() * self.gatherer.scene.bands()];
         let mut found = vec![Found::default(); self.disagree.len()];
         let stream = hash(self.seed ^ hash(2 * HALVES as u64));
         let width = self.width;
         let is_wanted = |pixel: usize| (pixel / width).is_multiple_of(GLANCE) && (pixel % width).is_multiple_of(GLANCE);
-        let (rays, seen) = self.look_at(None, is_wanted, 0..SAMPLES, stream, &mut pixels, &mut found, progress)?;
+        let seen = self.look_at(None, is_wanted, 0..SAMPLES, stream, &mut pixels, &mut found, progress)?;
         self.learn(&seen, &found);
-        Ok(rays)
+        Ok(())
     }
 
-    /// Adds one pass of one half; returns the rays cast.
+    /// Adds one pass of one half.
     fn add(
         &mut self,
         half: usize,
@@ -228,7 +227,7 @@ impl View<'_> {
         sums: &mut [f64],
         emits: &mut [bool],
         progress: &Progress,
-    ) -> Result<u64> {
+    ) -> Result<()> {
         progress.expect(self.height as u64);
         let seed = hash(self.seed ^ hash((pass * HALVES + half) as u64));
         let detail = DETAIL / ((pass + 1) as f64).sqrt().min(FINEST);
@@ -238,24 +237,20 @@ impl View<'_> {
         let mut found = vec![Found::default(); emits.len()];
         let numbers = |count: u32| pass as u32 * count..(pass as u32 + 1) * count;
         let stream = |k: usize| hash(self.seed ^ hash((2 * half + k) as u64));
-        let mut rays = cache.rays;
         let uneven = around(&self.disagree, self.width);
         let (few, many) = (numbers(SAMPLES), numbers(SAMPLES_AT_EDGES));
-        let (cast, seen) =
-            self.look_at(Some(&cache), |k| !uneven[k], few, stream(0), &mut pixels, &mut found, progress)?;
-        let (more, seen_there) =
+        let seen = self.look_at(Some(&cache), |k| !uneven[k], few, stream(0), &mut pixels, &mut found, progress)?;
+        let seen_there =
             self.look_at(Some(&cache), |k| uneven[k], many, stream(1), &mut pixels, &mut found, progress)?;
-        rays += cast + more;
         self.learn(&seen, &found);
         self.learn(&seen_there, &[]);
         sums.iter_mut().zip(&pixels).for_each(|(sum, value)| *sum += value);
         emits.iter_mut().zip(&found).for_each(|(emits, found)| *emits |= found.emits);
-        progress.advance(self.height as u64)?;
-        Ok(rays)
+        progress.advance(self.height as u64)
     }
 
-    /// Replaces the radiance of the wanted pixels by that of samples number `numbers`; returns the rays cast, and what the tiles have
-    /// seen. Without a cache only direct light counts.
+    /// Replaces the radiance of the wanted pixels by that of samples number `numbers`; returns what the tiles have seen.
+    /// Without a cache only direct light counts.
     #[expect(clippy::too_many_arguments, reason = "of one caller")]
     fn look_at(
         &self,
@@ -266,38 +261,31 @@ impl View<'_> {
         pixels: &mut [f64],
         found: &mut [Found],
         progress: &Progress,
-    ) -> Result<(u64, Vec<f64>)> {
+    ) -> Result<Vec<f64>> {
         let (width, bands) = (self.width, self.gatherer.scene.bands());
         let per_row = self.seen.len() / self.height.div_ceil(TILE);
-        let of_tiles = |(band, (rows, found)): (usize, (&mut [f64], &mut [Found]))| -> Result<(u64, Vec<f64>)> {
+        let of_tiles = |(band, (rows, found)): (usize, (&mut [f64], &mut [Found]))| -> Result<Vec<f64>> {
             progress.advance(0)?;
             let first = band * TILE * width;
             let wanted: Vec<usize> = (first..first + found.len()).filter(|&pixel| wanted(pixel)).collect();
-            let (mut rays, mut seen) = (0, vec![0.0; per_row]);
+            let mut seen = vec![0.0; per_row];
             for part in wanted.chunks(TOGETHER) {
-                let (radiance, of_pixels, cast) =
-                    self.look(cache, part, numbers.clone(), stream, band * per_row, &mut seen);
+                let (radiance, of_pixels) = self.look(cache, part, numbers.clone(), stream, band * per_row, &mut seen);
                 for ((&pixel, radiance), own) in part.iter().zip(radiance.chunks_exact(bands)).zip(of_pixels) {
                     let at = pixel - first;
                     rows[at * bands..][..bands].copy_from_slice(radiance);
                     found[at] = Found { emits: found[at].emits || own.emits, ..own };
                 }
-                rays += cast;
             }
-            Ok((rays, seen))
+            Ok(seen)
         };
         let tiles = pixels.par_chunks_mut(TILE * width * bands).zip(found.par_chunks_mut(TILE * width)).enumerate();
-        let found: Result<Vec<(u64, Vec<f64>)>> = tiles.map(of_tiles).collect();
-        let (mut rays, mut seen) = (0, Vec::with_capacity(self.seen.len()));
-        for (cast, of_band) in found? {
-            rays += cast;
-            seen.extend(of_band);
-        }
-        Ok((rays, seen))
+        let seen: Result<Vec<Vec<f64>>> = tiles.map(of_tiles).collect();
+        Ok(seen?.concat())
     }
 
-    /// The radiance of some pixels by samples number `numbers` of each, what else they found, and the rays cast. What segments see
-    /// is added to `seen`, the part of [`View::seen`] from `offset` on.
+    /// The radiance of some pixels by samples number `numbers` of each, and what else they found. What segments see is
+    /// added to `seen`, the part of [`View::seen`] from `offset` on.
     fn look(
         &self,
         cache: Option<&IrradianceCache>,
@@ -306,7 +294,7 @@ impl View<'_> {
         stream: u64,
         offset: usize,
         seen: &mut [f64],
-    ) -> (Vec<f64>, Vec<Found>, u64) {
+    ) -> (Vec<f64>, Vec<Found>) {
         let Gatherer { scene, tree, lamps, .. } = self.gatherer;
         let (bands, each) = (scene.bands(), numbers.len());
         // Rays through the pixels, and what they meet.
@@ -340,7 +328,7 @@ impl View<'_> {
             found.disagree = missed > 0 && missed < each;
         }
         if points.is_empty() {
-            return (vec![0.0; pixels.len() * bands], found, rays.len() as u64);
+            return (vec![0.0; pixels.len() * bands], found);
         }
         for (m, point) in points.iter().enumerate().skip(1) {
             let is_same = of[m] / each != of[m - 1] / each || is_same_surface(&points[m - 1], point);
@@ -349,7 +337,6 @@ impl View<'_> {
         let factors = lamps.form_factors(&points);
         let count = lamps.lamps.len();
         let tile = |m: usize| self.tile(pixels[of[m] / each]);
-        let mut cast = rays.len();
         // E_l w / p_l (V - c_l), one a point.
         let mut corrections: Vec<Option<(usize, f64)>> = vec![None; points.len()];
         if !self.blockers.is_empty() {
@@ -358,7 +345,6 @@ impl View<'_> {
                 (c * (1.0 - c)).sqrt() + WATCH
             };
             let (asked, segments) = lamps.ask(&points, &factors, interest, |m| [samples[of[m]][2], samples[of[m]][3]]);
-            cast += segments.len();
             for (Asked { point, lamp, weight }, blocked) in asked.into_iter().zip(self.blockers.blocked(&segments)) {
                 let visible = if blocked { 0.0 } else { 1.0 };
                 let at = 2 * (tile(point) * count + lamp) - offset;
@@ -391,7 +377,6 @@ impl View<'_> {
                 let number = u64::from(numbers.start) + (of[m] % each) as u64;
                 let seed = hash(stream ^ hash((pixels[pixel] as u64) << 32 | number));
                 self.gatherer.gather(&[*point], RAYS_ALONE, &[seed], &mut arriving);
-                cast += RAYS_ALONE;
             }
             for (b, out) in radiance[pixel * bands..][..bands].iter_mut().enumerate() {
                 let e = scene.emission()[i + b];
@@ -399,6 +384,6 @@ impl View<'_> {
                 *out += (e + scene.reflectance()[i + b] * arriving[b]) / (PI * each as f64);
             }
         }
-        (radiance, found, cast as u64)
+        (radiance, found)
     }
 }

@@ -96,8 +96,6 @@ pub(super) struct IrradianceCache {
     size: Vec<u8>,
     places: Vec<Place>,
     irradiance: Vec<f64>,
-    /// Rays cast.
-    pub(super) rays: u64,
 }
 
 impl IrradianceCache {
@@ -121,7 +119,6 @@ impl IrradianceCache {
             size: vec![1; columns * rows],
             places: Vec::new(),
             irradiance: Vec::new(),
-            rays: 0,
         };
         let of_row = |y: usize| (0..columns - 1).step_by(SPACING).map(move |x| [x, y]);
         let mut cells: Vec<[usize; 2]> = (0..rows - 1).step_by(SPACING).flat_map(of_row).collect();
@@ -186,7 +183,6 @@ impl IrradianceCache {
         wanted.iter().for_each(|&at| self.index[at] = NOTHING);
         for (at, places, irradiance) in found? {
             at.iter().enumerate().for_each(|(k, &at)| self.index[at] = (self.places.len() + k) as u32);
-            self.rays += (places.len() * rays) as u64;
             self.places.extend(places);
             self.irradiance.extend(irradiance);
         }
