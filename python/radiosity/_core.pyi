@@ -202,8 +202,7 @@ def gather(
 ) -> tuple[_Floats, float, int]: ...
 def render(
     scene: Scene,
-    radiosity: _Floats,
-    irradiance: _Floats,
+    light: _Floats,
     viewpoint: _Viewpoint,
     width: int,
     height: int,

@@ -147,8 +147,7 @@ def render(
             return image
         return _core.render(
             solution.scene._core,
-            solution.radiosity,
-            solution.irradiance,
+            solution.irradiance if shading == "smooth" else solution.radiosity,
             viewpoint,
             width,
             height,

@@ -21,14 +21,14 @@ fn camera((origin, target, up, fov): Viewpoint) -> PyResult<Camera> {
     Camera::new(Vec3::from(origin), Vec3::from(target), Vec3::from(up), fov).map_err(to_python)
 }
 
+/// `light` is the irradiance for smooth pictures, else the radiosity.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
-#[pyo3(signature = (scene, radiosity, irradiance, viewpoint, width, height, smooth, memory, threads, progress))]
+#[pyo3(signature = (scene, light, viewpoint, width, height, smooth, memory, threads, progress))]
 pub(super) fn render<'py>(
     py: Python<'py>,
     scene: &Scene,
-    radiosity: PyReadonlyArray2<f64>,
-    irradiance: PyReadonlyArray2<f64>,
+    light: PyReadonlyArray2<f64>,
     viewpoint: Viewpoint,
     width: usize,
     height: usize,
@@ -38,12 +38,13 @@ pub(super) fn render<'py>(
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
     let camera = camera(viewpoint)?;
-    let image = Image { width, height, shading: if smooth { Shading::Smooth } else { Shading::Flat } };
-    let (radiosity, irradiance) = (values(&radiosity), values(&irradiance));
+    let light = values(&light);
     let bands = scene.scene.bands();
+    let corners = smooth.then(|| scene.corners(py));
     let (tree, scene) = (scene.tree(py)?, Arc::clone(&scene.scene));
     let pixels = run(py, threads, progress.as_ref(), move |progress| {
-        core::render(&scene, &tree, &radiosity, &irradiance, &camera, image, memory, progress)
+        let shading = corners.as_deref().map_or(Shading::Flat(&light), |corners| Shading::Smooth(corners, &light));
+        core::render(&scene, &tree, &camera, Image { width, height, shading }, memory, progress)
     })?;
     image_array(py, pixels, [height, width, bands])
 }
@@ -102,8 +103,8 @@ pub(super) fn corner_irradiance<'py>(
     threads: Option<usize>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
     let irradiance = values(&irradiance);
-    let scene = Arc::clone(&scene.scene);
+    let (corners, scene) = (scene.corners(py), Arc::clone(&scene.scene));
     let shape = [scene.len(), 3, scene.bands()];
-    let corners = run(py, threads, None, move |_| Ok(core::corner_irradiance(&scene, &irradiance)))?;
+    let corners = run(py, threads, None, move |_| Ok(corners.irradiance(&scene, &irradiance)))?;
     image_array(py, corners, shape)
 }

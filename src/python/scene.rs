@@ -11,6 +11,7 @@ use super::error::to_python;
 use super::run::{in_pool, run};
 use crate::error::{Error, Result};
 use crate::geometry::Vec3;
+use crate::render::Corners;
 use crate::scene::{Description, Scene as CoreScene, Sides};
 use crate::visibility::{Bvh, NO_PATCH, Ray, Segment};
 
@@ -27,16 +28,22 @@ pub(super) struct Scene {
     pub(super) scene: Arc<CoreScene>,
     /// The tree over all patches, built when the first ray is cast.
     tree: OnceLock<Arc<Bvh>>,
+    /// Which patches meet at corners, found when the first smooth picture is made.
+    corners: OnceLock<Arc<Corners>>,
 }
 
 impl Scene {
     fn wrap(scene: CoreScene) -> Scene {
-        Scene { scene: Arc::new(scene), tree: OnceLock::new() }
+        Scene { scene: Arc::new(scene), tree: OnceLock::new(), corners: OnceLock::new() }
     }
 
     pub(super) fn tree(&self, py: Python<'_>) -> PyResult<Arc<Bvh>> {
         let build = || Arc::clone(self.tree.get_or_init(|| Arc::new(Bvh::of_scene(&self.scene))));
         py.detach(|| in_pool(None, build))
+    }
+
+    pub(super) fn corners(&self, py: Python<'_>) -> Arc<Corners> {
+        py.detach(|| Arc::clone(self.corners.get_or_init(|| Arc::new(Corners::new(&self.scene)))))
     }
 }
 
