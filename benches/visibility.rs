@@ -69,6 +69,7 @@ fn read(stem: &Path) -> Scene {
         reflectance: vec![0.5; faces.len()],
         emission: vec![0.0; faces.len()],
         faces,
+        materials: vec![],
         sides: Sides::Front,
     })
     .expect("a sound scene")

@@ -20,7 +20,7 @@ from . import mitsuba, plot, scenes
 from .bounces import bounces
 from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
 from .load import load
-from .render import Camera, render, save_image
+from .render import Camera, render, save_image, two_pass
 from .save import load_solution, save
 from .scene import Scene
 from .solution import ConvergenceError, Forecast, Solution
@@ -54,4 +54,5 @@ __all__ = [
     "show",
     "solve",
     "solve_system",
+    "two_pass",
 ]

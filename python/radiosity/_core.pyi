@@ -73,7 +73,14 @@ class _SolvedOnLinks(TypedDict):
 @final
 class Scene:
     def __new__(
-        cls, vertices: _Floats, faces: _Ints, reflectance: _Floats, emission: _Floats, both_sides: bool
+        cls,
+        vertices: _Floats,
+        faces: _Ints,
+        reflectance: _Floats,
+        emission: _Floats,
+        mirror: _Floats,
+        ior: _Floats,
+        both_sides: bool,
     ) -> Scene: ...
     @property
     def vertices(self) -> _Floats: ...
@@ -83,6 +90,8 @@ class Scene:
     def reflectance(self) -> _Floats: ...
     @property
     def emission(self) -> _Floats: ...
+    @property
+    def materials(self) -> tuple[_Floats, _Floats]: ...
     @property
     def areas(self) -> _Floats: ...
     @property

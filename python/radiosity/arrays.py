@@ -76,6 +76,14 @@ def per_patch(n: int, **quantities: Any) -> list[FloatArray]:
     return [np.ascontiguousarray(np.broadcast_to(array, (n, bands))) for array in arrays]
 
 
+def one_per_patch(name: str, n: int, value: Any) -> FloatArray:
+    """``value`` as (n,), from a scalar or one number a patch; ``ValueError`` for other shapes."""
+    array = real_array(name, value)
+    if array.shape not in ((), (n,)):
+        raise ValueError(f"{name} must be a scalar or ({n},), one a patch, not {array.shape}")
+    return np.ascontiguousarray(np.broadcast_to(array, (n,)))
+
+
 def whole_number(name: str, value: Any, least: int, most: int) -> int:
     """``value`` as an int; ``TypeError`` when it is no integer, ``ValueError`` when outside ``least`` .. ``most``."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):

@@ -98,57 +98,32 @@ def render(
         (height, width, b), row 0 on top. Backs of patches and empty space are black.
 
     Raises:
-        ValueError: an unknown shading, an empty image, or a camera that sees nothing or only backs (it stands in a
-            wall).
+        ValueError: an unknown shading, an empty image, a camera that sees nothing or only backs (it stands in a wall),
+            or a scene with mirrors or glass, which :func:`radiosity.two_pass` draws.
         MemoryError: the image would not fit.
 
     Sources:
         Gouraud 1971; Cohen & Greenberg 1985, section 7; final gather: Reichert 1992; Lischinski, Tampieri & Greenberg
         1993; Ward, Rubinstein & Clear 1988.
     """
-    if not isinstance(solution, Solution):
-        raise TypeError(f"solution must be a radiosity.Solution, not {type(solution).__name__}")
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera must be a radiosity.Camera, not {type(camera).__name__}")
-    if solution.scene is None:
-        raise ValueError("this solution was made from a plain matrix and knows no geometry; solve form_factors(scene)")
-    solution = solution.as_shown
-    assert solution.scene is not None  # elements are those of a scene
-    shape = (solution.scene.n_patches, solution.scene.bands)
-    if not solution.radiosity.shape == solution.irradiance.shape == shape:
-        raise ValueError(f"the solution has shape {solution.radiosity.shape}, and its scene {shape}")
+    shown = _shown(solution, camera)
+    assert shown.scene is not None
+    if not shown.scene.is_diffuse:
+        patch = int(np.argmax((shown.scene.mirror > 0.0) | (shown.scene.ior > 0.0)))
+        kind = "a mirror" if shown.scene.mirror[patch] > 0.0 else "glass"
+        raise ValueError(f"patch {patch} is {kind}, and render draws diffuse patches: two_pass draws mirrors and glass")
     if on_image is not None and not callable(on_image):
         raise TypeError(f"on_image must be callable, not {type(on_image).__name__}")
     if shading not in SHADINGS:
         raise ValueError(f"unknown shading {shading!r}; the shadings are {SHADINGS}")
-    width, height = (whole_number(name, size, 1, 1 << 20) for name, size in (("width", width), ("height", height)))
-    viewpoint = (camera.origin, camera.target, camera.up, float(camera.fov))
+    if shading == "gather":
+        return _gathered(shown, camera, width, height, tolerance, seed, on_image, threads, progress)
+    width, height = _size(width, height)
     with reporter(progress, "render") as report:
-        if shading == "gather":
-            image, reached, passes = _core.gather(
-                solution.scene._core,
-                solution.irradiance,
-                viewpoint,
-                width,
-                height,
-                real_number("tolerance", tolerance),
-                whole_number("seed", seed, 0, 2**64 - 1),
-                available_bytes(),
-                on_image,
-                thread_count(threads),
-                report,
-            )
-            if reached > tolerance:
-                warnings.warn(
-                    f"the error from sampling is {reached:.2g} after {passes} passes, above {tolerance:g}",
-                    UserWarning,
-                    stacklevel=2,
-                )
-            return image
         return _core.render(
-            solution.scene._core,
-            solution.irradiance if shading == "smooth" else solution.radiosity,
-            viewpoint,
+            shown.scene._core,
+            shown.irradiance if shading == "smooth" else shown.radiosity,
+            _viewpoint(camera),
             width,
             height,
             shading == "smooth",
@@ -156,6 +131,114 @@ def render(
             thread_count(threads),
             report,
         )
+
+
+def two_pass(
+    solution: Solution,
+    camera: Camera,
+    width: int = 512,
+    height: int = 512,
+    tolerance: float = 0.02,
+    seed: int = 0,
+    on_image: OnImage | None = None,
+    threads: int | None = None,
+    progress: Progress = True,
+) -> FloatArray:
+    """The image of a solution with its mirrors and its glass: linear radiance, W/(m^2 sr), averaged over each pixel.
+
+    The first pass is the solution: the radiosity of the diffuse patches, with what reaches them by way of mirrors and
+    glass (extended form factors). The second follows every ray of the camera over mirrors and through glass to the
+    diffuse surface that it shows, and gathers there what arrives, as ``render(..., shading="gather")`` does. Where
+    nothing is a mirror or glass there is nothing for a second pass, and the picture is that one.
+
+    Lamps in flat mirrors have closed forms, and so have sharp edges of their light. A caustic, the light of a lamp by way
+    of glass or of a bent mirror, is found only by rays that start where it falls: it is there, and takes many passes.
+
+    Args:
+        solution: of :func:`radiosity.solve` by rays.
+        camera: the viewpoint.
+        width: pixels a row.
+        height: rows.
+        tolerance: relative error from sampling, RMS over the pixels in which no emitter is seen, the worst band; in
+            (0, 1). What the solution is wrong by comes on top of it.
+        seed: of the quasi-random points.
+        on_image: called as ``on_image(image, error)`` after every pass, as for :func:`radiosity.render`.
+        threads: None for all cores.
+        progress: see :mod:`radiosity.progress`.
+
+    Returns:
+        (height, width, b), row 0 on top. Backs of diffuse patches and of mirrors, and empty space, are black.
+
+    Raises:
+        TypeError, ValueError, MemoryError: those of :func:`radiosity.render`.
+
+    Sources:
+        Wallace, Cohen & Greenberg 1987; Sillion & Puech 1989.
+    """
+    if on_image is not None and not callable(on_image):
+        raise TypeError(f"on_image must be callable, not {type(on_image).__name__}")
+    shown = _shown(solution, camera)
+    return _gathered(shown, camera, width, height, tolerance, seed, on_image, threads, progress)
+
+
+def _shown(solution: Solution, camera: Camera) -> Solution:
+    """What a picture of a solution shows, which has a scene."""
+    if not isinstance(solution, Solution):
+        raise TypeError(f"solution must be a radiosity.Solution, not {type(solution).__name__}")
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera must be a radiosity.Camera, not {type(camera).__name__}")
+    if solution.scene is None:
+        raise ValueError("this solution was made from a plain matrix and knows no geometry; solve form_factors(scene)")
+    shown = solution.as_shown
+    assert shown.scene is not None  # elements are those of a scene
+    shape = (shown.scene.n_patches, shown.scene.bands)
+    if not shown.radiosity.shape == shown.irradiance.shape == shape:
+        raise ValueError(f"the solution has shape {shown.radiosity.shape}, and its scene {shape}")
+    return shown
+
+
+def _size(width: int, height: int) -> tuple[int, int]:
+    return whole_number("width", width, 1, 1 << 20), whole_number("height", height, 1, 1 << 20)
+
+
+def _viewpoint(camera: Camera) -> tuple[Any, Any, Any, float]:
+    return camera.origin, camera.target, camera.up, float(camera.fov)
+
+
+def _gathered(
+    shown: Solution,
+    camera: Camera,
+    width: int,
+    height: int,
+    tolerance: float,
+    seed: int,
+    on_image: OnImage | None,
+    threads: int | None,
+    progress: Progress,
+) -> FloatArray:
+    assert shown.scene is not None
+    width, height = _size(width, height)
+    with reporter(progress, "render") as report:
+        image, reached, passes = _core.gather(
+            shown.scene._core,
+            shown.irradiance,
+            _viewpoint(camera),
+            width,
+            height,
+            real_number("tolerance", tolerance),
+            whole_number("seed", seed, 0, 2**64 - 1),
+            available_bytes(),
+            on_image,
+            thread_count(threads),
+            report,
+        )
+    if reached > tolerance:
+        warnings.warn(
+            f"the error from sampling is {reached:.2g} after {passes} passes, above {tolerance:g}",
+            UserWarning,
+            stacklevel=3,
+        )
+    return image
 
 
 def auto_exposure(image: FloatArray) -> float:

@@ -144,6 +144,8 @@ def _contents(solution: Solution) -> dict[str, Any]:
         contents |= {f"audit/{name}": value for name, value in dataclasses.asdict(report.audit).items()}
     if scene is not None:
         contents |= {name: getattr(scene, name) for name in ("vertices", "faces", "reflectance", "emission", "parent")}
+        if not scene.is_diffuse:
+            contents |= {"mirror": scene.mirror, "ior": scene.ior}
         contents["names"] = None if scene.names is None else np.array(scene.names)
     if solution.elements is not None:
         contents |= {f"elements/{name}": value for name, value in _contents(solution.elements).items()}
@@ -158,7 +160,8 @@ def _solution_of(contents: Mapping[str, Any]) -> Solution:
         vertices, faces, reflectance, emission = (
             contents[name] for name in ("vertices", "faces", "reflectance", "emission")
         )
-        scene = Scene(vertices, faces, reflectance, emission, names=names)
+        specular = {name: contents[name] for name in ("mirror", "ior") if name in contents}
+        scene = Scene(vertices, faces, reflectance, emission, names=names, **specular)
         parent = get("parent")
         scene.parent = None if parent is None else read_only(parent)
     audit = None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from . import _core
-from .arrays import FloatArray, IntArray, per_patch, read_only, shaped, thread_count, triangle_indices
+from .arrays import FloatArray, IntArray, one_per_patch, per_patch, read_only, shaped, thread_count, triangle_indices
 from .memory import available_bytes
 from .report import Report, report
 
@@ -45,6 +45,12 @@ class Scene:
         sides: ``"front"``, or ``"both"`` to make thin sheets: every patch then gets a reversed twin, and patch i + n is
             the back of patch i.
         names: optional, the name of the object that each patch belongs to.
+        mirror: what of the light a perfect mirror sends back, in [0, 1], all bands alike; a scalar or (n,). 0 is no
+            mirror.
+        ior: index of refraction (> 0) of the body behind a smooth clear surface, its front outside; a scalar or (n,).
+            nan is no glass. A patch is diffuse, a mirror or glass: mirrors and glass have reflectance 0 and emission 0,
+            and no radiosity. :func:`radiosity.solve` by rays carries light over them, :func:`radiosity.two_pass` draws
+            them; what cannot carry them refuses such scenes.
 
     Raises:
         TypeError: an argument holds no numbers, or faces no integers.
@@ -64,6 +70,8 @@ class Scene:
         emission: Any = 0.0,
         sides: str = "front",
         names: Sequence[str] | None = None,
+        mirror: Any = 0.0,
+        ior: Any = np.nan,
     ) -> None:
         if sides not in SIDES:
             raise ValueError(f"sides must be one of {SIDES}, not {sides!r}")
@@ -72,7 +80,11 @@ class Scene:
         rho, e = per_patch(n, reflectance=reflectance, emission=emission)
         if names is not None and len(names) != n:
             raise ValueError(f"names must hold {n} names, one a patch, not {len(names)}")
-        self._core = _core.Scene(shaped("vertices", vertices, "V", 3), indices, rho, e, sides == "both")
+        specular = one_per_patch("mirror", n, mirror), one_per_patch("ior", n, ior)
+        both = np.flatnonzero((specular[0] != 0.0) & ~np.isnan(specular[1]))
+        if both.size:
+            raise ValueError(f"patch {both[0]}: it is a mirror and glass at once ({both.size} patches are)")
+        self._core = _core.Scene(shaped("vertices", vertices, "V", 3), indices, rho, e, *specular, sides == "both")
         self.parent = None
         self.names = None if names is None else tuple(names) * (2 if sides == "both" else 1)
 
@@ -122,6 +134,21 @@ class Scene:
         return read_only(self._core.emission)
 
     @cached_property
+    def mirror(self) -> FloatArray:
+        """(n,) what of the light each patch mirrors; 0 where it is no mirror."""
+        return read_only(self._core.materials[0])
+
+    @cached_property
+    def ior(self) -> FloatArray:
+        """(n,) index of refraction of glass; nan where a patch is none."""
+        return read_only(self._core.materials[1])
+
+    @property
+    def is_diffuse(self) -> bool:
+        """Whether there is neither mirror nor glass."""
+        return not (self.mirror.any() or (self.ior > 0.0).any())
+
+    @cached_property
     def areas(self) -> FloatArray:
         """(n,) areas A, m^2."""
         return read_only(self._core.areas)
@@ -150,19 +177,19 @@ class Scene:
         return f"Scene({self.n_patches} patches, {self.bands} bands, {self.areas.sum():.6g} m^2)"
 
     def __getstate__(self) -> dict[str, Any]:
-        arrays = (self.vertices, self.faces, self.reflectance, self.emission)
+        arrays = (self.vertices, self.faces, self.reflectance, self.emission, self.mirror, self.ior)
         return {"arrays": arrays, "parent": self.parent, "names": self.names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vertices, faces, reflectance, emission = state["arrays"]
-        self._core = _core.Scene(vertices, faces, reflectance, emission, False)
+        self._core = _core.Scene(*state["arrays"], False)
         self.parent = state["parent"]
         self.names = state["names"]
 
     def with_materials(self, reflectance: Any, emission: Any) -> Scene:
-        """The same patches with another reflectance and emission (scalar, (b,) or (n, b))."""
+        """The same patches with another reflectance and emission (scalar, (b,) or (n, b)); mirrors and glass stay."""
         rho, e = per_patch(self.n_patches, reflectance=reflectance, emission=emission)
-        scene = Scene._from_core(_core.Scene(self.vertices, self.faces, rho, e, False), self.names)
+        core = _core.Scene(self.vertices, self.faces, rho, e, self.mirror, self.ior, False)
+        scene = Scene._from_core(core, self.names)
         scene.parent = self.parent
         return scene
 

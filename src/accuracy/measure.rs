@@ -183,9 +183,9 @@ impl<'a> Measure<'a> {
             return;
         }
         let (scene, bands) = (self.mesh.scene, self.bands());
-        let (areas, rho) = (scene.areas(), scene.reflectance());
+        let areas = scene.areas();
         let absorbed = |x: &[f64], b: usize| -> f64 {
-            areas.iter().enumerate().map(|(i, area)| area * (1.0 - rho[i * bands + b]) * x[i * bands + b]).sum()
+            areas.iter().enumerate().map(|(i, area)| area * scene.absorptance(i, b) * x[i * bands + b]).sum()
         };
         let emitted = |b: usize| areas.iter().enumerate().map(|(i, area)| area * scene.emission()[i * bands + b]).sum();
         let emitted: Vec<f64> = (0..bands).map(emitted).collect();
@@ -347,7 +347,7 @@ impl<'a> Measure<'a> {
         };
         Some(Audit {
             emitted: total(&|_, k| emission[k]),
-            absorbed: total(&|_, k| (1.0 - rho[k]) * irradiance[k]),
+            absorbed: total(&|i, k| whole.absorptance(i, k % bands) * irradiance[k]),
             left: total(&|i, k| (emission[k] + rho[k] * irradiance[k]) * lost[i]),
             unshot: vec![0.0; bands],
         })

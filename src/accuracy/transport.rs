@@ -7,14 +7,15 @@ use rayon::prelude::*;
 
 use crate::assembly::rays::{Field, Row, Sample};
 use crate::assembly::{Order, Trips};
-use crate::direct::Lamps;
 use crate::direct::lamp::Point;
 use crate::direct::patches::{Direct, SCRAMBLES};
+use crate::direct::{Lamps, Surroundings};
 use crate::error::Result;
 use crate::form_factor::emitter::Emitter;
 use crate::geometry::sampling::{barycentric, cosine_direction, point_in_triangle};
 use crate::progress::Progress;
 use crate::scene::Scene;
+use crate::visibility::specular::{self, End, follow};
 use crate::visibility::{Bvh, Ray};
 
 /// Segments that every scramble first sends from a patch towards the lamps.
@@ -30,7 +31,7 @@ pub(super) struct Tally {
     sums: Vec<f64>,
     /// Rays of each scramble so far, a patch.
     rays: Vec<u32>,
-    /// Of all its rays, those that nobody receives.
+    /// Of all its rays, those that leave the scene.
     pub(super) lost: Vec<u32>,
     /// Segments cast for them.
     pub(super) segments: u64,
@@ -72,6 +73,14 @@ struct Arrival {
     barycentric: [f64; 2],
 }
 
+/// Where rays have ended.
+struct Arrivals {
+    /// Those that arrived.
+    arrived: Vec<Arrival>,
+    /// Numbers of those that left the scene.
+    lost: Vec<usize>,
+}
+
 /// What light starts from and what it meets.
 pub(super) struct Ground {
     tree: Bvh,
@@ -82,6 +91,10 @@ pub(super) struct Ground {
 impl Ground {
     pub(super) fn of_scene(scene: &Scene) -> Result<Ground> {
         Ok(Ground { tree: Bvh::of_scene(scene), blockers: Bvh::of_blockers(scene), lamps: Lamps::of_scene(scene)? })
+    }
+
+    fn of<'a>(&'a self, scene: &'a Scene) -> Surroundings<'a> {
+        Surroundings { scene, lamps: &self.lamps, tree: &self.tree, blockers: &self.blockers }
     }
 }
 
@@ -114,7 +127,7 @@ impl<'a> Transport<'a> {
         seed: u64,
         progress: &Progress,
     ) -> Result<Transport<'a>> {
-        let direct = Direct::new(scene, &ground.lamps, &ground.blockers, kernels, seed, FIRST_SEGMENTS, progress)?;
+        let direct = Direct::new(ground.of(scene), kernels, seed, FIRST_SEGMENTS, progress)?;
         Ok(Transport { scene, ground, direct, seed })
     }
 
@@ -123,7 +136,7 @@ impl<'a> Transport<'a> {
     }
 
     /// The points where the rays from patches meet the front of others first.
-    fn first_arrivals(&self, samples: &[Sample]) -> Vec<Arrival> {
+    fn first_arrivals(&self, samples: &[Sample]) -> Arrivals {
         let ray = |sample: &Sample| {
             let [s, t, u, v, ..] = sample.numbers;
             let i = sample.patch as usize;
@@ -134,7 +147,7 @@ impl<'a> Transport<'a> {
     }
 
     /// The same for rays from where others have arrived.
-    fn next_arrivals(&self, samples: &[Sample], from: &[Arrival]) -> Vec<Arrival> {
+    fn next_arrivals(&self, samples: &[Sample], from: &[Arrival]) -> Arrivals {
         let ray = |arrival: &Arrival| {
             let [.., s, t, _, _] = samples[arrival.ray].numbers;
             let emitter = Emitter::new(self.scene, &self.ground.tree, arrival.point.patch as usize);
@@ -143,21 +156,24 @@ impl<'a> Transport<'a> {
         self.arrivals(from.iter().map(|arrival| arrival.ray).collect(), from.iter().map(ray).collect())
     }
 
-    fn arrivals(&self, numbers: Vec<usize>, rays: Vec<Ray>) -> Vec<Arrival> {
-        let hits = self.ground.tree.closest(&rays);
-        let arrived = numbers.into_iter().zip(rays).zip(hits).filter_map(|((number, ray), hit)| {
-            let hit = hit?;
-            let point = Point::of_hit(self.scene, &hit);
-            if point.normal.dot(ray.direction) >= 0.0 {
-                return None;
+    fn arrivals(&self, numbers: Vec<usize>, rays: Vec<Ray>) -> Arrivals {
+        let ends = follow(self.scene, &self.ground.tree, &rays);
+        let mut arrivals = Arrivals { arrived: Vec::with_capacity(rays.len()), lost: Vec::new() };
+        for (ray, end) in numbers.into_iter().zip(ends) {
+            match end {
+                End::Arrived(specular::Arrival { hit, .. }) => {
+                    let point = Point::of_hit(self.scene, &hit);
+                    arrivals.arrived.push(Arrival { ray, point, barycentric: hit.barycentric });
+                }
+                End::Absorbed => {}
+                End::Lost => arrivals.lost.push(ray),
             }
-            Some(Arrival { ray: number, point, barycentric: hit.barycentric })
-        });
-        arrived.collect()
+        }
+        arrivals
     }
 
     /// out_kb = what leaves the point of arrival k towards where the ray came from, of light that has come straight from the
-    /// lamps, and of emitters that are none: rho H_direct + E. Returns the segments cast.
+    /// lamps, and of emitters that no lamp stands for: rho H_direct + E. Returns the segments cast.
     fn first_light(&self, samples: &[Sample], arrivals: &[Arrival], lamp: usize, out: &mut [f64]) -> usize {
         let bands = self.bands();
         let points: Vec<Point> = arrivals.iter().map(|arrival| arrival.point).collect();
@@ -167,12 +183,11 @@ impl<'a> Transport<'a> {
         };
         let in_view = |i: u32, l: usize| self.direct.in_view(i, l);
         let cast = self.ground.lamps.light(&points, &self.ground.blockers, numbers, in_view, out);
-        for (point, out) in points.iter().zip(out.chunks_exact_mut(bands)) {
-            let j = point.patch as usize;
+        for (arrival, out) in arrivals.iter().zip(out.chunks_exact_mut(bands)) {
+            let j = arrival.point.patch as usize;
+            self.direct.add_caustics(j, out);
             out.iter_mut().zip(&self.scene.reflectance()[j * bands..]).for_each(|(out, rho)| *out *= rho);
-            if !self.ground.lamps.glow.is_empty() {
-                out.iter_mut().zip(&self.ground.lamps.glow[j * bands..]).for_each(|(out, e)| *out += e);
-            }
+            self.ground.lamps.add_glow(j, out);
         }
         cast
     }
@@ -196,7 +211,7 @@ impl<'a> Transport<'a> {
         let row = |(i, (mut row, source)): (usize, (Row, &mut [f64]))| {
             progress.advance(count as u64)?;
             let samples: Vec<Sample> = Sample::rays(self.seed, i as u32, PILOT, 0..count as u32).collect();
-            let arrivals = self.first_arrivals(&samples);
+            let arrivals = self.first_arrivals(&samples).arrived;
             for (k, Sample { numbers: [_, _, u, v, ..], .. }) in samples.iter().enumerate() {
                 row.start(k, barycentric(*u, *v));
             }
@@ -225,14 +240,14 @@ impl<'a> Transport<'a> {
         progress: &Progress,
     ) -> Result<()> {
         self.add(tally, BASE, wanted, progress, |samples, out, is_lost| {
-            let arrivals = self.first_arrivals(samples);
+            let Arrivals { arrived: arrivals, lost } = self.first_arrivals(samples);
+            lost.into_iter().for_each(|ray| is_lost[ray] = true);
             let mut light = vec![0.0; arrivals.len() * self.bands()];
             let cast = self.first_light(samples, &arrivals, LAMP, &mut light);
             if let Some(field) = field {
                 self.reflect(&arrivals, field, &mut light);
             }
             for (arrival, light) in arrivals.iter().zip(light.chunks_exact(self.bands())) {
-                is_lost[arrival.ray] = false;
                 out[arrival.ray * self.bands()..][..self.bands()].copy_from_slice(light);
             }
             cast
@@ -251,17 +266,17 @@ impl<'a> Transport<'a> {
     ) -> Result<()> {
         let bands = self.bands();
         self.add(tally, PROBE, wanted, progress, |samples, out, is_lost| {
-            let arrivals = self.first_arrivals(samples);
+            let Arrivals { arrived: arrivals, lost } = self.first_arrivals(samples);
+            lost.into_iter().for_each(|ray| is_lost[ray] = true);
             let mut known = vec![0.0; arrivals.len() * bands];
             self.reflect(&arrivals, field, &mut known);
-            let further = self.next_arrivals(samples, &arrivals);
+            let further = self.next_arrivals(samples, &arrivals).arrived;
             let mut light = vec![0.0; further.len() * bands];
             let cast = self.first_light(samples, &further, NEXT_LAMP, &mut light);
             self.reflect(&further, field, &mut light);
             let mut at = vec![usize::MAX; samples.len()];
             for (k, arrival) in arrivals.iter().enumerate() {
                 at[arrival.ray] = arrival.point.patch as usize;
-                is_lost[arrival.ray] = false;
                 let j = arrival.point.patch as usize * bands;
                 let residual = &residuals[samples[arrival.ray].scramble as usize - PROBE];
                 for b in 0..bands {
@@ -312,7 +327,7 @@ impl<'a> Transport<'a> {
                     if samples.is_empty() {
                         break;
                     }
-                    let (mut values, mut is_lost) = (vec![0.0; samples.len() * bands], vec![true; samples.len()]);
+                    let (mut values, mut is_lost) = (vec![0.0; samples.len() * bands], vec![false; samples.len()]);
                     cast += bring(&samples, &mut values, &mut is_lost) as u64;
                     for ((sample, value), is_lost) in samples.iter().zip(values.chunks_exact(bands)).zip(is_lost) {
                         let (p, s) = (sample.patch as usize - first, sample.scramble as usize - stream);

@@ -88,6 +88,7 @@ impl Dense {
     /// [`Error::Invalid`] for a tolerance out of range, [`Error::Memory`] before anything is allocated,
     /// [`Error::Interrupted`].
     pub fn new(scene: &Scene, options: DenseOptions, progress: &Progress) -> Result<Dense> {
+        scene.require_diffuse("a matrix of form factors")?;
         Accuracy::new(options.tolerance)?;
         let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
         let n = scene.len();

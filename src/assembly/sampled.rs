@@ -95,6 +95,7 @@ impl Sampled {
     /// [`Error::Invalid`] for a tolerance out of range, [`Error::Memory`] as soon as the rows no longer fit,
     /// [`Error::Interrupted`].
     pub fn new(scene: &Scene, estimator: Estimator, options: SampledOptions, progress: &Progress) -> Result<Sampled> {
+        scene.require_diffuse("a matrix of form factors")?;
         // The same range as that of the kernels, which keep to steps of it; rays can be as many as asked for.
         Accuracy::new(options.tolerance)?;
         let tolerance = options.tolerance;

@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 
 use crate::form_factor::area_quadrature::kernel;
 use crate::form_factor::point_to_polygon::{form_factor, gathered};
-use crate::geometry::polygon::{Plane, area_vector, centre, clip_to_front};
+use crate::geometry::polygon::{MAX_CORNERS, Plane, area_vector, centre, clip_to_front};
 use crate::geometry::sampling::point_in_triangle;
 use crate::geometry::{Triangle, Vec3};
 use crate::scene::Scene;
@@ -59,9 +59,22 @@ pub struct Lamp {
     grain: f64,
     /// E, one a band, W/m^2.
     pub emission: Vec<f64>,
+    /// The number of the mirror in which it is seen, for the image of a lamp.
+    pub(super) mirror: Option<usize>,
 }
 
 impl Lamp {
+    /// A convex polygon that emits evenly: one lamp, or a fan of lamps where a single form factor kernel could not take so
+    /// many corners.
+    pub(super) fn fan_of(ring: &[Vec3], emission: &[f64]) -> Vec<Lamp> {
+        let part = |k: usize| {
+            let last = (k + MAX_CORNERS - 2).min(ring.len() - 1);
+            let corners = std::iter::once(ring[0]).chain(ring[k..=last].iter().copied()).collect();
+            Lamp::new(corners, emission.to_vec())
+        };
+        (1..ring.len() - 1).step_by(MAX_CORNERS - 2).map(part).collect()
+    }
+
     /// A lamp with these corners, counter-clockwise seen from the side that it shines to, of positive area.
     pub fn new(corners: Vec<Vec3>, emission: Vec<f64>) -> Lamp {
         let area = area_vector(&corners).length();
@@ -75,7 +88,7 @@ impl Lamp {
         let cumulated = fans.collect();
         let largest = corners.iter().map(|v| v.abs().max_element()).fold(0.0, f64::max);
         let plane = Plane::of(&corners);
-        Lamp { plane, area, centre, radius, cumulated, grain: GRAIN * largest, emission, corners }
+        Lamp { plane, area, centre, radius, cumulated, grain: GRAIN * largest, emission, mirror: None, corners }
     }
 
     /// Its corners.

@@ -18,15 +18,14 @@
 //! have the mean E_l integral of V K (see [`Lamp::sample`]). The first has no noise where the lamp is in full view, the second
 //! none where it is hidden: the first is used on patches that see most of the lamp.
 
-use std::collections::BTreeMap;
-
+use super::flat_parts::{flat_parts, groups};
 use super::lamp::{Lamp, Point};
+use super::mirrors::FlatMirror;
 use crate::error::Result;
 use crate::geometry::Vec3;
-use crate::geometry::polygon::MAX_CORNERS;
-use crate::scene::{Description, Scene, Sides};
+use crate::scene::Scene;
 use crate::simd::Instructions;
-use crate::visibility::{Bvh, NO_PATCH, Segment, convex_polygons};
+use crate::visibility::{Bvh, NO_PATCH, Segment};
 
 /// Never more lamps than this: as many as a word has bits.
 const MOST: usize = u64::BITS as usize;
@@ -35,10 +34,14 @@ const SEGMENT_COST: f64 = 0.7;
 /// What the form factor of one more lamp costs.
 const LAMP_COST: f64 = 0.15;
 
-/// The lamps of a scene, the brightest first.
+/// The lamps of a scene, the brightest first, and after them their images in flat mirrors.
 pub struct Lamps {
     /// The lamps.
     pub lamps: Vec<Lamp>,
+    /// The mirrors in which lamps have images.
+    mirrors: Vec<FlatMirror>,
+    /// Whether each patch belongs to one of them; empty where there is none.
+    pub(super) reflects: Vec<bool>,
     /// E of what is no lamp, n x b; empty where all emitters are lamps.
     pub glow: Vec<f64>,
     bands: usize,
@@ -69,8 +72,14 @@ impl Lamps {
         let reflected: f64 = (0..bands).map(ambient).sum();
 
         let mut found = Vec::new();
-        for group in groups(scene) {
-            found.extend(merged(scene, &group)?);
+        let emits = |i: usize| {
+            let emission = &scene.emission()[i * bands..][..bands];
+            emission.iter().any(|e| *e > 0.0).then(|| emission.iter().map(|e| e.to_bits()).collect())
+        };
+        for group in groups(scene, emits) {
+            let emission = &scene.emission()[group[0] as usize * bands..][..bands];
+            let surface = |(ring, patches): (Vec<Vec3>, _)| Surface { lamps: Lamp::fan_of(&ring, emission), patches };
+            found.extend(flat_parts(scene, &group)?.into_iter().map(surface));
         }
         let bright = |surface: &Surface| brightness(&surface.lamps[0].emission);
         let moment = |surface: &Surface| bright(surface) * surface.lamps.iter().map(Lamp::area).sum::<f64>() / total;
@@ -96,8 +105,23 @@ impl Lamps {
         if glow.iter().all(|e| *e == 0.0) {
             glow = Vec::new();
         }
-        let lamps = found.into_iter().flat_map(|surface| surface.lamps).collect();
-        Ok(Lamps { lamps, glow, bands, scale, instructions: Instructions::best() })
+        let mut lamps: Vec<Lamp> = found.into_iter().flat_map(|surface| surface.lamps).collect();
+        let (mut mirrors, mut reflects) = (Vec::new(), Vec::new());
+        if !scene.is_diffuse() && !lamps.is_empty() {
+            let real = lamps.clone();
+            reflects = vec![false; scene.len()];
+            for mirror in FlatMirror::of_scene(scene)? {
+                let mut images: Vec<Lamp> = real.iter().flat_map(|lamp| mirror.images(lamp)).collect();
+                if lamps.len() + images.len() > MOST {
+                    break;
+                }
+                images.iter_mut().for_each(|image| image.mirror = Some(mirrors.len()));
+                lamps.extend(images);
+                mirror.patches.iter().for_each(|&i| reflects[i as usize] = true);
+                mirrors.push(mirror);
+            }
+        }
+        Ok(Lamps { lamps, glow, mirrors, reflects, bands, scale, instructions: Instructions::best() })
     }
 
     /// Emission of a lamp in all bands together, in units of the mean emissions.
@@ -121,7 +145,7 @@ impl Lamps {
             return 0;
         }
         let factors = self.form_factors(points);
-        let free = blockers.is_empty();
+        let free = self.is_free(blockers);
         for (l, lamp) in self.lamps.iter().enumerate() {
             for (k, point) in points.iter().enumerate() {
                 let f = factors[l * points.len() + k];
@@ -134,7 +158,8 @@ impl Lamps {
             return 0;
         }
         let (asked, segments) = self.ask(points, &factors, |_, _| 1.0, numbers);
-        for (Asked { point: k, lamp: l, weight }, blocked) in asked.into_iter().zip(blockers.blocked(&segments)) {
+        let hidden = self.hidden(blockers, |k| asked[k].lamp, &segments);
+        for (Asked { point: k, lamp: l, weight }, blocked) in asked.into_iter().zip(hidden) {
             let sign = match (in_view(points[k].patch, l), blocked) {
                 (true, true) => -1.0,
                 (false, false) => 1.0,
@@ -144,6 +169,53 @@ impl Lamps {
             row.zip(&self.lamps[l].emission).for_each(|(out, e)| *out += sign * weight * e);
         }
         segments.len()
+    }
+
+    /// 1 for the image of a lamp in a mirror, 0 for a lamp.
+    pub(super) fn is_image(&self, l: usize) -> usize {
+        usize::from(self.lamps[l].mirror.is_some())
+    }
+
+    /// Whether every point sees all of the lamps that shine on it.
+    pub fn is_free(&self, blockers: &Bvh) -> bool {
+        blockers.is_empty() && self.mirrors.is_empty()
+    }
+
+    /// Whether the points of lamps at the ends of segments are hidden; segment k leads to lamp `lamp(k)`.
+    pub fn hidden(&self, blockers: &Bvh, lamp: impl Fn(usize) -> usize, segments: &[Segment]) -> Vec<bool> {
+        if self.mirrors.is_empty() {
+            return blockers.blocked(segments);
+        }
+        // A way over a mirror has two parts.
+        let (mut parts, mut of) = (Vec::with_capacity(segments.len()), Vec::with_capacity(segments.len()));
+        let mut hidden = vec![false; segments.len()];
+        for (k, segment) in segments.iter().enumerate() {
+            match self.lamps[lamp(k)].mirror.map(|m| self.mirrors[m].folded(segment)) {
+                None => parts.push(*segment),
+                Some(Some(folded)) => parts.extend(folded),
+                Some(None) => hidden[k] = true,
+            }
+            of.resize(parts.len(), k);
+        }
+        for (k, blocked) in of.into_iter().zip(blockers.blocked(&parts)) {
+            hidden[k] |= blocked;
+        }
+        hidden
+    }
+
+    /// The same for segments from one patch to one lamp.
+    pub(super) fn hidden_between(&self, blockers: &Bvh, lamp: usize, segments: &[Segment]) -> Vec<bool> {
+        match self.lamps[lamp].mirror {
+            None => blockers.blocked_between(segments),
+            Some(_) => self.hidden(blockers, |_| lamp, segments),
+        }
+    }
+
+    /// out_b += what patch j emits that no lamp stands for.
+    pub fn add_glow(&self, j: usize, out: &mut [f64]) {
+        if !self.glow.is_empty() {
+            out.iter_mut().zip(&self.glow[j * self.bands..]).for_each(|(out, e)| *out += e);
+        }
     }
 
     /// F_l of point k at l x points + k: the form factor from there to lamp l, unoccluded.
@@ -201,52 +273,8 @@ pub struct Asked {
     pub weight: f64,
 }
 
-/// The emitting patches by emission and by the side of space that they face: no group holds both sides of a sheet.
-fn groups(scene: &Scene) -> Vec<Vec<u32>> {
-    let mut groups: BTreeMap<(Vec<u64>, bool), Vec<u32>> = BTreeMap::new();
-    for (i, emission) in scene.emission().chunks_exact(scene.bands()).enumerate() {
-        if emission.iter().any(|e| *e > 0.0) {
-            let normal = scene.normals()[i];
-            let first = normal.to_array().into_iter().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0);
-            let key = (emission.iter().map(|e| e.to_bits()).collect(), first > 0.0);
-            groups.entry(key).or_default().push(i as u32);
-        }
-    }
-    groups.into_values().collect()
-}
-
 /// A convex surface that emits evenly.
 struct Surface {
-    /// One, or fans of one where a single form factor kernel could not take so many corners.
     lamps: Vec<Lamp>,
     patches: Vec<u32>,
-}
-
-/// The patches of one group merged to convex surfaces.
-fn merged(scene: &Scene, patches: &[u32]) -> Result<Vec<Surface>> {
-    let bands = scene.bands();
-    let emission = &scene.emission()[patches[0] as usize * bands..][..bands];
-    let (mut numbers, mut vertices) = (BTreeMap::new(), Vec::new());
-    let mut faces = Vec::with_capacity(patches.len());
-    for &i in patches {
-        faces.push(scene.faces()[i as usize].map(|v| {
-            *numbers.entry(v).or_insert_with(|| {
-                vertices.push(scene.vertices()[v as usize]);
-                vertices.len() as i64 - 1
-            })
-        }));
-    }
-    let dark = vec![0.0; patches.len()];
-    let (reflectance, emitted) = (dark.clone(), dark);
-    let part = Description { vertices, faces, bands: 1, reflectance, emission: emitted, sides: Sides::Front };
-    let surface = |(ring, members): (Vec<Vec3>, Vec<u32>)| {
-        let fan = |k: usize| {
-            let last = (k + MAX_CORNERS - 2).min(ring.len() - 1);
-            let corners = std::iter::once(ring[0]).chain(ring[k..=last].iter().copied()).collect();
-            Lamp::new(corners, emission.to_vec())
-        };
-        let lamps = (1..ring.len() - 1).step_by(MAX_CORNERS - 2).map(fan).collect();
-        Surface { lamps, patches: members.into_iter().map(|k| patches[k as usize]).collect() }
-    };
-    Ok(convex_polygons(&Scene::new(part)?).into_iter().map(surface).collect())
 }

@@ -9,11 +9,33 @@
 //!
 //! - [`lamp`]: one flat convex polygon that emits evenly: form factor from a point, points on it
 //! - [`lamps`]: which emitters are lamps; their light at many points, one segment each
+//! - [`caustics`]: their light by way of glass and of mirrors that are not flat
+//! - `mirrors`: lamps seen in flat mirrors; `flat_parts`: patches of one kind merged to polygons
 //! - [`patches`]: their light averaged over patches, to an accuracy
 
+pub mod caustics;
+mod flat_parts;
 pub mod lamp;
 pub mod lamps;
+mod mirrors;
 pub mod patches;
 
+pub use caustics::Caustics;
 pub use lamp::Lamp;
 pub use lamps::Lamps;
+
+use crate::scene::Scene;
+use crate::visibility::Bvh;
+
+/// What light of the lamps meets on its way.
+#[derive(Clone, Copy)]
+pub struct Surroundings<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Its lamps.
+    pub lamps: &'a Lamps,
+    /// All patches.
+    pub tree: &'a Bvh,
+    /// Those that can stand between others.
+    pub blockers: &'a Bvh,
+}

@@ -9,14 +9,14 @@
 
 use rayon::prelude::*;
 
+use super::Surroundings;
+use super::caustics::Caustics;
 use super::lamp::Point;
-use super::lamps::Lamps;
 use crate::error::Result;
 use crate::form_factor::{Accuracy, Batch, Shape};
 use crate::geometry::sampling::{Sobol, hash, point_in_triangle};
 use crate::progress::Progress;
-use crate::scene::Scene;
-use crate::visibility::{Bvh, NO_PATCH, Segment};
+use crate::visibility::{NO_PATCH, Segment};
 
 /// Independent scrambles of every sample.
 pub const SCRAMBLES: usize = 4;
@@ -25,6 +25,10 @@ const _: () = assert!(SCRAMBLES >= 4 && SCRAMBLES.is_multiple_of(2));
 
 /// Share of the segments that watch lamps on which all segments have agreed so far: a sliver of a shadow escapes a few.
 const WATCH: f64 = 0.25;
+
+/// The most rays of caustics in a scramble, and what one costs, in segments.
+const MOST_CAUSTIC_RAYS: u64 = 1 << 26;
+const CAUSTIC_COST: u64 = 6;
 
 /// What the segments of one scramble from a patch to a lamp have seen.
 #[derive(Debug, Clone, Copy, Default)]
@@ -69,10 +73,9 @@ impl View {
 
 /// The direct irradiance of every patch.
 pub struct Direct<'a> {
-    scene: &'a Scene,
-    lamps: &'a Lamps,
-    blockers: &'a Bvh,
+    surroundings: Surroundings<'a>,
     seed: u64,
+    caustics: Option<Caustics>,
     views: Vec<Vec<View>>,
     /// For each patch the lamps that it sees most of, a bit each.
     in_view: Vec<u64>,
@@ -87,14 +90,13 @@ impl<'a> Direct<'a> {
     /// # Errors
     /// [`crate::Error::Invalid`] for a tolerance out of range, [`crate::Error::Interrupted`].
     pub fn new(
-        scene: &'a Scene,
-        lamps: &'a Lamps,
-        blockers: &'a Bvh,
+        surroundings: Surroundings<'a>,
         tolerance: f64,
         seed: u64,
         each: u32,
         progress: &Progress,
     ) -> Result<Direct<'a>> {
+        let Surroundings { scene, lamps, .. } = surroundings;
         let accuracy = Accuracy::new(tolerance)?;
         let shapes: Vec<Shape> = lamps.lamps.iter().map(|lamp| Shape::new(lamp.corners())).collect();
         let views: Result<Vec<Vec<View>>> = (0..scene.len())
@@ -120,7 +122,8 @@ impl<'a> Direct<'a> {
             })
             .collect();
         let in_view = vec![u64::MAX; scene.len()];
-        let mut direct = Direct { scene, lamps, blockers, seed, views: views?, in_view, segments: 0 };
+        let caustics = Caustics::of_scene(scene, lamps);
+        let mut direct = Direct { surroundings, seed, caustics, views: views?, in_view, segments: 0 };
         direct.sample(|_| each, progress)?;
         Ok(direct)
     }
@@ -131,10 +134,15 @@ impl<'a> Direct<'a> {
     /// # Errors
     /// [`crate::Error::Interrupted`].
     pub fn sample(&mut self, wanted: impl Fn(usize) -> u32 + Sync, progress: &Progress) -> Result<()> {
-        if self.blockers.is_empty() {
+        if let Some(caustics) = &mut self.caustics {
+            let all: u64 = (0..self.surroundings.scene.len()).map(|i| u64::from(wanted(i))).sum();
+            caustics.sample(&self.surroundings, all.min(MOST_CAUSTIC_RAYS) as u32, self.seed, progress)?;
+        }
+        let Surroundings { scene, lamps, blockers, .. } = self.surroundings;
+        if lamps.is_free(blockers) {
             return Ok(());
         }
-        let (scene, lamps, blockers, seed) = (self.scene, self.lamps, self.blockers, self.seed);
+        let seed = self.seed;
         let cast = |(i, (views, in_view)): (usize, (&mut Vec<View>, &mut u64))| -> Result<u64> {
             progress.advance(0)?;
             let (triangle, normal, patch) = (scene.triangle(i), scene.normals()[i], i as u32);
@@ -159,7 +167,8 @@ impl<'a> Direct<'a> {
                             segments.push(Segment { start: point.x, end, exclude: [patch, NO_PATCH] });
                         }
                     }
-                    for (weight, blocked) in weights.iter().zip(blockers.blocked_between(&segments)) {
+                    let hidden = lamps.hidden_between(blockers, view.lamp as usize, &segments);
+                    for (weight, blocked) in weights.iter().zip(hidden) {
                         seen.all += weight;
                         seen.visible += if blocked { 0.0 } else { *weight };
                     }
@@ -177,16 +186,19 @@ impl<'a> Direct<'a> {
         Ok(())
     }
 
-    /// Segments to lamps in half-shadow: those whose number [`Direct::sample`] raises.
+    /// Segments to lamps in half-shadow, and rays of caustics in as many segments: those whose number [`Direct::sample`] raises.
     pub fn partial_segments(&self) -> u64 {
         let partial = self.views.iter().flatten().filter(|view| view.is_partial());
-        partial.map(|view| SCRAMBLES as u64 * u64::from(view.segments)).sum()
+        let partial: u64 = partial.map(|view| SCRAMBLES as u64 * u64::from(view.segments)).sum();
+        partial
+            + self.caustics.as_ref().map_or(0, |caustics| CAUSTIC_COST * SCRAMBLES as u64 * u64::from(caustics.rays))
     }
 
     /// Bytes of what is known of every patch and lamp.
     pub fn nbytes(&self) -> u64 {
         let views: usize = self.views.iter().map(|views| size_of_val(views.as_slice())).sum();
-        (views + size_of_val(self.views.as_slice()) + size_of_val(self.in_view.as_slice())) as u64
+        let caustics = self.caustics.as_ref().map_or(0, Caustics::nbytes);
+        caustics + (views + size_of_val(self.views.as_slice()) + size_of_val(self.in_view.as_slice())) as u64
     }
 
     /// Whether patch i sees most of lamp l.
@@ -200,6 +212,7 @@ impl<'a> Direct<'a> {
         for view in &self.views[i] {
             self.add(view, view.fraction(), out);
         }
+        self.add_caustics(i, out);
     }
 
     /// The same as scramble `s` alone has it; the mean of all is [`Direct::irradiance`].
@@ -207,10 +220,20 @@ impl<'a> Direct<'a> {
         for view in &self.views[i] {
             self.add(view, view.of_scramble(s), out);
         }
+        if let Some(caustics) = &self.caustics {
+            caustics.add_of_scramble(i, s, out);
+        }
+    }
+
+    /// The part of H of patch i that comes by way of glass and bent mirrors, added to `out`.
+    pub fn add_caustics(&self, i: usize, out: &mut [f64]) {
+        if let Some(caustics) = &self.caustics {
+            caustics.add(i, out);
+        }
     }
 
     fn add(&self, view: &View, fraction: f64, out: &mut [f64]) {
-        let emission = &self.lamps.lamps[view.lamp as usize].emission;
+        let emission = &self.surroundings.lamps.lamps[view.lamp as usize].emission;
         out.iter_mut().zip(emission).for_each(|(out, e)| *out += view.form_factor * fraction * e);
     }
 }

@@ -74,6 +74,7 @@ impl Goal for Rows<'_> {
 /// [`crate::Error::Invalid`] for a tolerance out of range, [`crate::Error::Memory`] when not even the patches fit,
 /// [`crate::Error::Interrupted`].
 pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Progress) -> Result<(Links, Reached)> {
+    scene.require_diffuse("hierarchical radiosity")?;
     Accuracy::new(options.tolerance)?;
     let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
     let blockers = Blockers::of_scene(scene);

@@ -71,6 +71,7 @@ impl<'a> Solver<'a> {
     /// # Errors
     /// [`Error::Invalid`] for a scene without a finite solution, [`Error::Memory`] when not even the patches fit.
     pub fn new(scene: &'a Scene, blockers: &'a Blockers, seed: u64, memory: u64) -> Result<Solver<'a>> {
+        scene.require_diffuse("hierarchical radiosity")?;
         let is_closed = is_closed(scene, seed);
         let bands = scene.bands();
         let is_white = |b: usize| scene.reflectance().iter().skip(b).step_by(bands).all(|rho| *rho == 1.0);

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
@@ -12,7 +12,7 @@ use super::run::{in_pool, run};
 use crate::error::{Error, Result};
 use crate::geometry::Vec3;
 use crate::render::Corners;
-use crate::scene::{Description, Scene as CoreScene, Sides};
+use crate::scene::{Description, Material, Scene as CoreScene, Sides};
 use crate::visibility::{Bvh, NO_PATCH, Ray, Segment};
 
 /// Patch numbers, distances and barycentric coordinates of a batch of hits.
@@ -55,6 +55,8 @@ impl Scene {
         faces: PyReadonlyArray2<i64>,
         reflectance: PyReadonlyArray2<f64>,
         emission: PyReadonlyArray2<f64>,
+        mirror: PyReadonlyArray1<f64>,
+        ior: PyReadonlyArray1<f64>,
         both_sides: bool,
     ) -> PyResult<Scene> {
         let description = Description {
@@ -63,6 +65,7 @@ impl Scene {
             bands: reflectance.as_array().ncols(),
             reflectance: values(&reflectance),
             emission: values(&emission),
+            materials: materials(&mirror, &ior),
             sides: if both_sides { Sides::Both } else { Sides::Front },
         };
         CoreScene::new(description).map(Scene::wrap).map_err(to_python)
@@ -86,6 +89,18 @@ impl Scene {
     #[getter]
     fn emission<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         table(py, self.scene.emission().to_vec(), self.scene.bands())
+    }
+
+    /// Of each patch the fraction that it mirrors, and its index of refraction, nan where it is no glass.
+    #[getter]
+    fn materials<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>) {
+        let of = |i: usize| match self.scene.material(i) {
+            Material::Diffuse => (0.0, f64::NAN),
+            Material::Mirror(reflected) => (reflected, f64::NAN),
+            Material::Glass(ior) => (0.0, ior),
+        };
+        let (mirror, ior) = (0..self.scene.len()).map(of).unzip();
+        (vector(py, mirror), vector(py, ior))
     }
 
     #[getter]
@@ -173,6 +188,16 @@ impl Scene {
         })?;
         Ok(vector(py, blocked))
     }
+}
+
+/// What is neither mirror (0) nor glass (nan) is diffuse; what is both is glass, and named as such where it is refused.
+fn materials(mirror: &PyReadonlyArray1<f64>, ior: &PyReadonlyArray1<f64>) -> Vec<Material> {
+    let of = |(&mirror, &ior): (&f64, &f64)| match (mirror, ior) {
+        (0.0, ior) if ior.is_nan() => Material::Diffuse,
+        (mirror, ior) if ior.is_nan() => Material::Mirror(mirror),
+        (_, ior) => Material::Glass(ior),
+    };
+    mirror.as_array().iter().zip(ior.as_array()).map(of).collect()
 }
 
 /// Two arrays of as many rows.

@@ -13,6 +13,9 @@
 //! what the solution says of where they end, at few points ([`super::irradiance_cache`]). So the patches show only in light that
 //! has been reflected twice.
 //!
+//! Where a ray of the camera meets a mirror or glass, all this is done where it ends ([`super::sight`]). Of caustics a point has what
+//! its patch has, interpolated between corners ([`crate::direct::caustics`]).
+//!
 //! The picture is the mean of two halves that share no more than what the tiles know, each refined pass by pass along its own quasi-random
 //! sequences and on grids moved by chance: half of their difference is the standard error.
 
@@ -21,12 +24,13 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::Camera;
 use super::irradiance_cache::{Gatherer, IrradianceCache, is_same_surface};
 use super::sight::{Sight, around, check_size};
-use crate::direct::Lamps;
+use super::{Camera, Corners};
 use crate::direct::lamp::Point;
 use crate::direct::lamps::Asked;
+use crate::direct::patches::SCRAMBLES;
+use crate::direct::{Caustics, Lamps, Surroundings};
 use crate::error::{Error, Result};
 use crate::geometry::sampling::{Sobol, hash};
 use crate::progress::Progress;
@@ -79,6 +83,8 @@ const GLANCE: usize = 2;
 const WATCH: f64 = 0.1;
 /// Samples of a pixel disagree when visibility not known beforehand makes more than this part of its light.
 const UNCERTAIN: f64 = 0.05;
+/// Rays of caustics that every pass adds, of each scramble and for every patch.
+const CAUSTIC_RAYS: u64 = 32;
 /// Passes after which nothing more is to be hoped for.
 const MOST_PASSES: usize = 1 << 14;
 
@@ -108,7 +114,8 @@ pub fn gather(
     check_size([width, height, bands], 64 + 128 * padded(width).saturating_mul(padded(height)), memory)?;
     let lamps = Lamps::of_scene(scene)?;
     let blockers = Bvh::of_blockers(scene);
-    let gatherer = Gatherer { scene, tree, lamps: &lamps, irradiance };
+    let sight = Sight::new(scene);
+    let gatherer = Gatherer { scene, tree, lamps: &lamps, irradiance, sight: &sight };
     let mut view = View {
         gatherer,
         blockers: &blockers,
@@ -116,7 +123,8 @@ pub fn gather(
         width,
         height,
         seed,
-        sight: Sight::new(scene),
+        caustics: Caustics::of_scene(scene, &lamps),
+        corners: Corners::new(scene),
         seen: vec![0.0; width.div_ceil(TILE) * height.div_ceil(TILE) * lamps.lamps.len() * 2],
         disagree: vec![false; width * height],
     };
@@ -125,10 +133,11 @@ pub fn gather(
     view.glance(progress)?;
     let mut passes = 0;
     loop {
+        view.add_caustics(passes, progress)?;
         for (half, sums) in sums.iter_mut().enumerate() {
             view.add(half, passes, sums, &mut emits, progress)?;
         }
-        view.sight.check(camera)?;
+        sight.check(camera)?;
         passes += 1;
         let each = 1.0 / (HALVES * passes) as f64;
         let pixels: Vec<f64> = sums[0].iter().zip(&sums[1]).map(|(a, b)| each * (a + b)).collect();
@@ -173,12 +182,20 @@ struct View<'a> {
     width: usize,
     height: usize,
     seed: u64,
-    sight: Sight<'a>,
+    caustics: Option<Caustics>,
+    corners: Corners,
     /// Of every tile and lamp: the weights of segments that have seen it, and of all.
     seen: Vec<f64>,
     /// Pixels whose samples have disagreed so far. What a pass finds counts from the next on: a pixel that kept the samples which
     /// agree, and took others in place of those which do not, would favour what is seen most.
     disagree: Vec<bool>,
+}
+
+/// What is known of indirect light in one pass of one half.
+struct Indirect {
+    cache: IrradianceCache,
+    /// Irradiance of caustics at the corners of patches, n x 3 x b; empty where there are none.
+    caustics: Vec<f64>,
 }
 
 /// What samples have found of one pixel beside its radiance.
@@ -219,6 +236,29 @@ impl View<'_> {
         Ok(())
     }
 
+    /// Follows more rays from the lamps.
+    fn add_caustics(&mut self, passes: usize, progress: &Progress) -> Result<()> {
+        let Gatherer { scene, tree, lamps, .. } = self.gatherer;
+        let Some(caustics) = &mut self.caustics else { return Ok(()) };
+        let wanted = CAUSTIC_RAYS.saturating_mul((passes as u64 + 1) * scene.len() as u64);
+        let wanted = u32::try_from(wanted).unwrap_or(u32::MAX);
+        let surroundings = Surroundings { scene, lamps, tree, blockers: self.blockers };
+        caustics.sample(&surroundings, wanted, self.seed, progress)
+    }
+
+    /// Caustics at the corners of patches as one half of the scrambles has them.
+    fn caustics_of(&self, half: usize) -> Vec<f64> {
+        let Some(caustics) = &self.caustics else { return Vec::new() };
+        let scene = self.gatherer.scene;
+        let mut irradiance = vec![0.0; scene.emission().len()];
+        let own = SCRAMBLES / HALVES;
+        for (i, out) in irradiance.chunks_exact_mut(scene.bands()).enumerate() {
+            (half * own..(half + 1) * own).for_each(|s| caustics.add_of_scramble(i, s, out));
+            out.iter_mut().for_each(|out| *out /= own as f64);
+        }
+        self.corners.irradiance(scene, &irradiance)
+    }
+
     /// Adds one pass of one half.
     fn add(
         &mut self,
@@ -233,15 +273,16 @@ impl View<'_> {
         let detail = DETAIL / ((pass + 1) as f64).sqrt().min(FINEST);
         let size = [self.width, self.height];
         let cache = IrradianceCache::new(&self.gatherer, self.camera, size, detail, seed, progress)?;
+        let indirect = Indirect { cache, caustics: self.caustics_of(half) };
         let mut pixels = vec![0.0; sums.len()];
         let mut found = vec![Found::default(); emits.len()];
         let numbers = |count: u32| pass as u32 * count..(pass as u32 + 1) * count;
         let stream = |k: usize| hash(self.seed ^ hash((2 * half + k) as u64));
         let uneven = around(&self.disagree, self.width);
         let (few, many) = (numbers(SAMPLES), numbers(SAMPLES_AT_EDGES));
-        let seen = self.look_at(Some(&cache), |k| !uneven[k], few, stream(0), &mut pixels, &mut found, progress)?;
+        let seen = self.look_at(Some(&indirect), |k| !uneven[k], few, stream(0), &mut pixels, &mut found, progress)?;
         let seen_there =
-            self.look_at(Some(&cache), |k| uneven[k], many, stream(1), &mut pixels, &mut found, progress)?;
+            self.look_at(Some(&indirect), |k| uneven[k], many, stream(1), &mut pixels, &mut found, progress)?;
         self.learn(&seen, &found);
         self.learn(&seen_there, &[]);
         sums.iter_mut().zip(&pixels).for_each(|(sum, value)| *sum += value);
@@ -250,11 +291,11 @@ impl View<'_> {
     }
 
     /// Replaces the radiance of the wanted pixels by that of samples number `numbers`; returns what the tiles have seen.
-    /// Without a cache only direct light counts.
+    /// Without `indirect` only direct light counts.
     #[expect(clippy::too_many_arguments, reason = "of one caller")]
     fn look_at(
         &self,
-        cache: Option<&IrradianceCache>,
+        indirect: Option<&Indirect>,
         wanted: impl Fn(usize) -> bool + Sync,
         numbers: Range<u32>,
         stream: u64,
@@ -270,7 +311,8 @@ impl View<'_> {
             let wanted: Vec<usize> = (first..first + found.len()).filter(|&pixel| wanted(pixel)).collect();
             let mut seen = vec![0.0; per_row];
             for part in wanted.chunks(TOGETHER) {
-                let (radiance, of_pixels) = self.look(cache, part, numbers.clone(), stream, band * per_row, &mut seen);
+                let (radiance, of_pixels) =
+                    self.look(indirect, part, numbers.clone(), stream, band * per_row, &mut seen);
                 for ((&pixel, radiance), own) in part.iter().zip(radiance.chunks_exact(bands)).zip(of_pixels) {
                     let at = pixel - first;
                     rows[at * bands..][..bands].copy_from_slice(radiance);
@@ -288,14 +330,14 @@ impl View<'_> {
     /// added to `seen`, the part of [`View::seen`] from `offset` on.
     fn look(
         &self,
-        cache: Option<&IrradianceCache>,
+        indirect: Option<&Indirect>,
         pixels: &[usize],
         numbers: Range<u32>,
         stream: u64,
         offset: usize,
         seen: &mut [f64],
     ) -> (Vec<f64>, Vec<Found>) {
-        let Gatherer { scene, tree, lamps, .. } = self.gatherer;
+        let Gatherer { scene, tree, lamps, sight, .. } = self.gatherer;
         let (bands, each) = (scene.bands(), numbers.len());
         // Rays through the pixels, and what they meet.
         let sample = |&pixel: &usize| {
@@ -313,19 +355,15 @@ impl View<'_> {
             Ray { origin: self.camera.origin(), direction, exclude: NO_PATCH }
         };
         let rays: Vec<Ray> = (0..samples.len()).map(ray).collect();
-        let (mut of, mut points) = (Vec::with_capacity(rays.len()), Vec::with_capacity(rays.len()));
-        let (mut found, mut missed) = (vec![Found::default(); pixels.len()], vec![0; pixels.len()]);
-        for (k, (ray, hit)) in rays.iter().zip(tree.closest(&rays)).enumerate() {
-            match hit.filter(|hit| self.sight.is_front(hit, ray.direction)) {
-                Some(hit) => {
-                    of.push(k);
-                    points.push(Point::of_hit(scene, &hit));
-                }
-                None => missed[k / each] += 1,
-            }
+        let shown = sight.look(tree, &rays);
+        let of: Vec<usize> = shown.iter().map(|shown| shown.ray).collect();
+        let points: Vec<Point> = shown.iter().map(|shown| shown.point).collect();
+        let (mut found, mut met) = (vec![Found::default(); pixels.len()], vec![0; pixels.len()]);
+        for (m, k) in of.iter().enumerate() {
+            met[k / each] += usize::from(m == 0 || of[m - 1] != *k);
         }
-        for (found, missed) in found.iter_mut().zip(missed) {
-            found.disagree = missed > 0 && missed < each;
+        for (found, met) in found.iter_mut().zip(met) {
+            found.disagree = met > 0 && met < each;
         }
         if points.is_empty() {
             return (vec![0.0; pixels.len() * bands], found);
@@ -339,13 +377,15 @@ impl View<'_> {
         let tile = |m: usize| self.tile(pixels[of[m] / each]);
         // E_l w / p_l (V - c_l), one a point.
         let mut corrections: Vec<Option<(usize, f64)>> = vec![None; points.len()];
-        if !self.blockers.is_empty() {
+        let free = lamps.is_free(self.blockers);
+        if !free {
             let interest = |m: usize, l: usize| {
                 let c = self.known(tile(m), l);
                 (c * (1.0 - c)).sqrt() + WATCH
             };
             let (asked, segments) = lamps.ask(&points, &factors, interest, |m| [samples[of[m]][2], samples[of[m]][3]]);
-            for (Asked { point, lamp, weight }, blocked) in asked.into_iter().zip(self.blockers.blocked(&segments)) {
+            let hidden = lamps.hidden(self.blockers, |k| asked[k].lamp, &segments);
+            for (Asked { point, lamp, weight }, blocked) in asked.into_iter().zip(hidden) {
                 let visible = if blocked { 0.0 } else { 1.0 };
                 let at = 2 * (tile(point) * count + lamp) - offset;
                 seen[at] += visible * weight;
@@ -361,7 +401,7 @@ impl View<'_> {
             for (l, lamp) in lamps.lamps.iter().enumerate() {
                 let f = factors[l * points.len() + m];
                 if f > 0.0 {
-                    let f = f * if self.blockers.is_empty() { 1.0 } else { self.known(tile(m), l) };
+                    let f = f * if free { 1.0 } else { self.known(tile(m), l) };
                     arriving.iter_mut().zip(&lamp.emission).for_each(|(h, e)| *h += f * e);
                 }
             }
@@ -371,7 +411,16 @@ impl View<'_> {
                     *h += correction * e;
                 }
             }
-            if let Some(cache) = cache
+            if let Some(Indirect { caustics, .. }) = indirect
+                && !caustics.is_empty()
+            {
+                let [v, w] = shown[m].barycentric;
+                for (b, out) in arriving.iter_mut().enumerate() {
+                    let corner = |c: usize| caustics[(3 * point.patch as usize + c) * bands + b];
+                    *out += (1.0 - v - w) * corner(0) + v * corner(1) + w * corner(2);
+                }
+            }
+            if let Some(Indirect { cache, .. }) = indirect
                 && !cache.add(place(of[m]), point, &mut arriving)
             {
                 let number = u64::from(numbers.start) + (of[m] % each) as u64;
@@ -381,7 +430,7 @@ impl View<'_> {
             for (b, out) in radiance[pixel * bands..][..bands].iter_mut().enumerate() {
                 let e = scene.emission()[i + b];
                 found[pixel].emits |= e > 0.0;
-                *out += (e + scene.reflectance()[i + b] * arriving[b]) / (PI * each as f64);
+                *out += shown[m].part * (e + scene.reflectance()[i + b] * arriving[b]) / (PI * each as f64);
             }
         }
         (radiance, found)

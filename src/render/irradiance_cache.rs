@@ -8,6 +8,7 @@
 use rayon::prelude::*;
 
 use super::Camera;
+use super::sight::Sight;
 use crate::direct::Lamps;
 use crate::direct::lamp::Point;
 use crate::error::Result;
@@ -15,6 +16,7 @@ use crate::form_factor::emitter::Emitter;
 use crate::geometry::sampling::{Sobol, cosine_direction, hash};
 use crate::progress::Progress;
 use crate::scene::Scene;
+use crate::visibility::specular::follow;
 use crate::visibility::{Bvh, NO_PATCH, Ray};
 
 /// Pixels between the points where nothing changes.
@@ -35,6 +37,8 @@ pub(super) struct Gatherer<'a> {
     pub(super) lamps: &'a Lamps,
     /// H of every patch, n x b.
     pub(super) irradiance: &'a [f64],
+    /// What the camera sees of them.
+    pub(super) sight: &'a Sight<'a>,
 }
 
 impl Gatherer<'_> {
@@ -51,22 +55,18 @@ impl Gatherer<'_> {
             })
         };
         let all: Vec<Ray> = points.iter().zip(seeds).flat_map(from).collect();
-        let hits = self.tree.closest(&all);
         let share = 1.0 / rays as f64;
-        let mut near = vec![0.0; points.len()];
-        for (k, (ray, hit)) in all.iter().zip(hits).enumerate() {
-            let Some(hit) = hit else { continue };
-            near[k / rays] += share / hit.t;
-            let j = hit.patch as usize;
-            if scene.normals()[j].dot(ray.direction) >= 0.0 {
-                continue;
-            }
-            let out = &mut out[k / rays * bands..][..bands];
-            for (b, out) in out.iter_mut().enumerate() {
-                let at = j * bands + b;
-                let glow = if self.lamps.glow.is_empty() { 0.0 } else { self.lamps.glow[at] };
-                *out += share * (scene.reflectance()[at] * self.irradiance[at] + glow);
-            }
+        let (mut near, mut leaving) = (vec![0.0; points.len()], vec![0.0; bands]);
+        for (k, end) in follow(scene, self.tree, &all).into_iter().enumerate() {
+            let Some(arrival) = end.arrival() else { continue };
+            near[k / rays] += share / arrival.distance;
+            let j = arrival.hit.patch as usize;
+            let own = j * bands..(j + 1) * bands;
+            let reflected = scene.reflectance()[own.clone()].iter().zip(&self.irradiance[own]).map(|(rho, h)| rho * h);
+            leaving.iter_mut().zip(reflected).for_each(|(leaving, reflected)| *leaving = reflected);
+            self.lamps.add_glow(j, &mut leaving);
+            let out = out[k / rays * bands..][..bands].iter_mut();
+            out.zip(&leaving).for_each(|(out, leaving)| *out += share * leaving);
         }
         near
     }
@@ -158,7 +158,6 @@ impl IrradianceCache {
         wanted.sort_unstable();
         wanted.dedup();
         let (columns, bands, offset) = (self.columns, self.bands, self.offset);
-        let scene = gatherer.scene;
         let look = |at: &[usize]| {
             progress.advance(0)?;
             let ray = |&at: &usize| {
@@ -166,12 +165,10 @@ impl IrradianceCache {
                 Ray { origin: camera.origin(), direction: camera.direction(x, y, width, height), exclude: NO_PATCH }
             };
             let rays_there: Vec<Ray> = at.iter().map(ray).collect();
-            let hits = gatherer.tree.closest(&rays_there);
-            let met = at.iter().zip(rays_there.iter().zip(hits)).filter_map(|(&at, (ray, hit))| {
-                let point = Point::of_hit(scene, &hit?);
-                (point.normal.dot(ray.direction) < 0.0).then_some((at, point))
-            });
-            let (met, points): (Vec<usize>, Vec<Point>) = met.unzip();
+            let mut shown = gatherer.sight.look(gatherer.tree, &rays_there);
+            shown.dedup_by_key(|shown| shown.ray);
+            let (met, points): (Vec<usize>, Vec<Point>) =
+                shown.iter().map(|shown| (at[shown.ray], shown.point)).unzip();
             let seeds: Vec<u64> = met.iter().map(|&at| hash(seed ^ hash(at as u64))).collect();
             let mut irradiance = vec![0.0; met.len() * bands];
             let near = gatherer.gather(&points, rays, &seeds, &mut irradiance);

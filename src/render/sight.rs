@@ -1,14 +1,38 @@
 //! What a camera sees: the first patch on each of its rays, and whether there was anything to see at all.
+//!
+//! Where that is a mirror or glass, what is seen there: the second pass of a two-pass picture (Wallace, Cohen & Greenberg, "A
+//! two-pass solution to the rendering equation", SIGGRAPH 1987). The first surface is not left to chance: both ways on of glass
+//! are followed and weighted, so that a highlight on it is no noise.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use rayon::prelude::*;
 
 use super::Camera;
+use crate::direct::lamp::Point;
 use crate::error::{Error, Result};
 use crate::geometry::Vec3;
-use crate::scene::Scene;
-use crate::visibility::{Hit, NO_PATCH};
+use crate::scene::{Material, Scene};
+use crate::visibility::specular::{branches, follow};
+use crate::visibility::{Bvh, Hit, NO_PATCH, Ray};
+
+/// A diffuse point that a ray shows.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shown {
+    /// The number of the ray.
+    pub(super) ray: usize,
+    pub(super) point: Point,
+    /// Barycentric coordinates of corners 1 and 2 of its patch.
+    pub(super) barycentric: [f64; 2],
+    /// The part of the ray that comes from there.
+    pub(super) part: f64,
+}
+
+impl Shown {
+    fn new(scene: &Scene, ray: usize, hit: &Hit, part: f64) -> Shown {
+        Shown { ray, point: Point::of_hit(scene, hit), barycentric: hit.barycentric, part }
+    }
+}
 
 /// Whether any ray has met a front, and the lowest number of the patches whose backs were met.
 pub(super) struct Sight<'a> {
@@ -32,6 +56,39 @@ impl<'a> Sight<'a> {
             self.back.fetch_min(hit.patch, Ordering::Relaxed);
         }
         is_front
+    }
+
+    /// The points that rays of the camera show, ray after ray. `tree` must hold all patches.
+    pub(super) fn look(&self, tree: &Bvh, rays: &[Ray]) -> Vec<Shown> {
+        let scene = self.scene;
+        let (mut shown, mut on, mut branching) = (Vec::with_capacity(rays.len()), Vec::new(), Vec::new());
+        for (k, (ray, hit)) in rays.iter().zip(tree.closest(rays)).enumerate() {
+            let Some(hit) = hit else { continue };
+            let material = scene.material(hit.patch as usize);
+            if !matches!(material, Material::Glass(_)) && !self.is_front(&hit, ray.direction) {
+                continue;
+            }
+            if material == Material::Diffuse {
+                shown.push(Shown::new(scene, k, &hit, 1.0));
+                continue;
+            }
+            self.front.store(true, Ordering::Relaxed);
+            for branch in branches(scene, ray, &hit).into_iter().flatten() {
+                on.push(branch.ray);
+                branching.push((k, branch));
+            }
+        }
+        if !on.is_empty() {
+            let ends = follow(scene, tree, &on);
+            for ((k, branch), end) in branching.iter().zip(ends) {
+                if let Some(arrival) = end.arrival() {
+                    shown.push(Shown::new(scene, *k, &arrival.hit, branch.part));
+                }
+            }
+            // In the order of the rays, the largest part of each first.
+            shown.sort_by(|a, b| a.ray.cmp(&b.ray).then(b.part.total_cmp(&a.part)));
+        }
+        shown
     }
 
     /// A picture without a single front is black: refuses it, and says why.

@@ -55,6 +55,7 @@ pub fn render(
     memory: u64,
     progress: &Progress,
 ) -> Result<Vec<f64>> {
+    scene.require_diffuse("a flat or smooth picture")?;
     let (Image { width, height, shading }, bands) = (image, scene.bands());
     // The image, and the copy that the caller makes of it.
     check_size([width, height, bands], 16, memory)?;

@@ -1,5 +1,8 @@
 //! A scene: triangular patches as flat arrays, with reflectance and emission per band, frozen once built.
 //!
+//! Most patches are diffuse. Others are mirrors or glass ([`Material`]): they have no radiosity of their own, and light goes on
+//! from them as [`crate::visibility::specular`] follows it.
+//!
 //! Surfaces are one-sided: the front is the side from which the corners run counter-clockwise. The back blocks light
 //! but neither emits nor reflects. [`Sides::Both`] gives every patch a reversed twin, so that a thin sheet has two
 //! radiosities, one for each side: patch i + n is the back of patch i.
@@ -23,6 +26,28 @@ pub enum Sides {
     Both,
 }
 
+/// How a patch sends on the light that it meets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Material {
+    /// Evenly in all directions, by its reflectance.
+    Diffuse,
+    /// A perfect mirror that reflects this fraction, in [0, 1], of every band.
+    Mirror(f64),
+    /// The smooth surface of a body of this index of refraction, > 0, relative to what is before its front.
+    Glass(f64),
+}
+
+impl Material {
+    /// What a message calls it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Material::Diffuse => "diffuse",
+            Material::Mirror(_) => "a mirror",
+            Material::Glass(_) => "glass",
+        }
+    }
+}
+
 /// What a scene is made from; row-major, one row a patch.
 #[derive(Debug, Clone)]
 pub struct Description {
@@ -36,6 +61,8 @@ pub struct Description {
     pub reflectance: Vec<f64>,
     /// Self-emitted radiosity E, n x b, W/m^2.
     pub emission: Vec<f64>,
+    /// The material of each patch; empty where all are diffuse. Mirrors and glass have neither reflectance nor emission.
+    pub materials: Vec<Material>,
     /// Which sides of the triangles are active.
     pub sides: Sides,
 }
@@ -48,6 +75,8 @@ pub struct Scene {
     bands: usize,
     reflectance: Vec<f64>,
     emission: Vec<f64>,
+    /// Empty where all are diffuse.
+    materials: Vec<Material>,
     areas: Vec<f64>,
     normals: Vec<Vec3>,
     /// Whether patch i + n/2 is the back of patch i, for all i.
@@ -61,15 +90,19 @@ impl Scene {
     /// [`Error::Invalid`] with every problem found, each naming its patch, its value and the allowed range.
     pub fn new(description: Description) -> Result<Scene> {
         validate::description(&description)?;
-        let Description { vertices, faces, bands, mut reflectance, mut emission, sides } = description;
+        let Description { vertices, faces, bands, mut reflectance, mut emission, mut materials, sides } = description;
         // Validation has bounded every index by the number of vertices, which is below 2^32.
         let mut faces: Vec<[u32; 3]> = faces.iter().map(|f| f.map(|v| v as u32)).collect();
         if sides == Sides::Both {
             faces.extend(faces.clone().into_iter().map(reversed));
             reflectance.extend_from_within(..);
             emission.extend_from_within(..);
+            materials.extend_from_within(..);
         }
-        let scene = Scene::assemble(vertices, faces, bands, reflectance, emission);
+        if materials.iter().all(|material| *material == Material::Diffuse) {
+            materials.clear();
+        }
+        let scene = Scene::assemble(vertices, faces, bands, reflectance, emission, materials);
         validate::scene(&scene)?;
         Ok(scene)
     }
@@ -80,6 +113,7 @@ impl Scene {
         bands: usize,
         reflectance: Vec<f64>,
         emission: Vec<f64>,
+        materials: Vec<Material>,
     ) -> Scene {
         let (mut areas, mut normals) = (Vec::with_capacity(faces.len()), Vec::with_capacity(faces.len()));
         for face in &faces {
@@ -89,7 +123,7 @@ impl Scene {
         }
         let (fronts, backs) = faces.split_at(faces.len() / 2);
         let mirrored = fronts.iter().copied().map(reversed).eq(backs.iter().copied());
-        Scene { vertices, faces, bands, reflectance, emission, areas, normals, mirrored }
+        Scene { vertices, faces, bands, reflectance, emission, materials, areas, normals, mirrored }
     }
 
     /// Number of patches n.
@@ -125,6 +159,38 @@ impl Scene {
     /// Emission E, n x b, W/m^2.
     pub fn emission(&self) -> &[f64] {
         &self.emission
+    }
+
+    /// The material of patch `i`.
+    #[inline]
+    pub fn material(&self, i: usize) -> Material {
+        self.materials.get(i).copied().unwrap_or(Material::Diffuse)
+    }
+
+    /// Whether all patches are diffuse.
+    pub fn is_diffuse(&self) -> bool {
+        self.materials.is_empty()
+    }
+
+    /// Refuses mirrors and glass where `what` cannot carry them.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] that names the first patch that is not diffuse, and who can carry it.
+    pub fn require_diffuse(&self, what: &str) -> Result<()> {
+        let Some(i) = self.materials.iter().position(|material| *material != Material::Diffuse) else { return Ok(()) };
+        Err(Error::Invalid(format!(
+            "patch {i} is {}, which {what} cannot carry: a solve by rays and two-pass pictures can",
+            self.materials[i].name()
+        )))
+    }
+
+    /// The part of the light that arrives at patch `i` in band `b` that goes no further: 1 - rho.
+    pub fn absorptance(&self, i: usize, b: usize) -> f64 {
+        match self.material(i) {
+            Material::Diffuse => 1.0 - self.reflectance[i * self.bands + b],
+            Material::Mirror(reflected) => 1.0 - reflected,
+            Material::Glass(_) => 0.0,
+        }
     }
 
     /// Patch areas A, m^2.
@@ -178,7 +244,11 @@ impl Scene {
             out
         };
         let (reflectance, emission) = (rows(&self.reflectance), rows(&self.emission));
-        let scene = Scene::assemble(fine.vertices, fine.faces, self.bands, reflectance, emission);
+        let materials = match self.is_diffuse() {
+            true => Vec::new(),
+            false => fine.parent.iter().map(|&p| self.materials[p as usize]).collect(),
+        };
+        let scene = Scene::assemble(fine.vertices, fine.faces, self.bands, reflectance, emission, materials);
         if let Some(i) = scene.areas.iter().position(|&area| !(area > 0.0)) {
             return Err(Error::Invalid(format!(
                 "max_edge {max_edge} is too small: a piece of patch {} has no area left",

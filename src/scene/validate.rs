@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::{Description, Scene};
+use super::{Description, Material, Scene, Sides};
 use crate::error::{Error, Result};
 use crate::geometry::{Vec3, polygon};
 
@@ -37,7 +37,7 @@ impl Offenders {
 
 /// Lengths, finiteness, ranges of indices and materials: what can be told of each patch by itself.
 pub(super) fn description(given: &Description) -> Result<()> {
-    let Description { vertices, faces, bands, reflectance, emission, .. } = given;
+    let Description { vertices, faces, bands, reflectance, emission, materials, .. } = given;
     let mut problems = Vec::new();
     if faces.is_empty() {
         problems.push("the scene has no patches".to_string());
@@ -67,6 +67,11 @@ pub(super) fn description(given: &Description) -> Result<()> {
         }
         offenders.report(&mut problems);
     }
+    if materials.len() == faces.len() && reflectance.len() == emission.len() && emission.len() == faces.len() * bands {
+        specular(given, &mut problems);
+    } else if !materials.is_empty() {
+        problems.push(format!("there are {} materials for {} patches", materials.len(), faces.len()));
+    }
     let mut offenders = Offenders::new();
     for (k, v) in vertices.iter().enumerate().filter(|(_, v)| !v.is_finite()) {
         offenders.add(|| format!("vertex {k} is ({}, {}, {}); coordinates must be finite", v.x, v.y, v.z));
@@ -84,6 +89,33 @@ pub(super) fn description(given: &Description) -> Result<()> {
         areas(vertices, faces, &mut problems);
     }
     Error::from_problems(problems)
+}
+
+/// Mirrors and glass out of range, or with light of their own.
+fn specular(given: &Description, problems: &mut Vec<String>) {
+    let mut offenders = Offenders::new();
+    for (i, &material) in given.materials.iter().enumerate() {
+        let is_dark = |values: &[f64]| values[i * given.bands..][..given.bands].iter().all(|value| *value == 0.0);
+        match material {
+            Material::Diffuse => continue,
+            Material::Mirror(reflected) if !(0.0..=1.0).contains(&reflected) => {
+                offenders.add(|| format!("patch {i}: a mirror that reflects {reflected} is outside [0, 1]"));
+            }
+            Material::Glass(ior) if !(ior > 0.0 && ior.is_finite()) => {
+                offenders.add(|| format!("patch {i}: index of refraction {ior} is outside (0, inf)"));
+            }
+            Material::Glass(_) if given.sides == Sides::Both => {
+                offenders
+                    .add(|| format!("patch {i}: glass has one front, towards the outside; it cannot have both sides"));
+            }
+            _ => {}
+        }
+        if !is_dark(&given.reflectance) || !is_dark(&given.emission) {
+            let name = material.name();
+            offenders.add(|| format!("patch {i}: {name} has no reflectance and no emission; they must be 0"));
+        }
+    }
+    offenders.report(problems);
 }
 
 /// Patches without area; those with corners that are not finite have been told of already.
@@ -110,7 +142,7 @@ fn areas(vertices: &[Vec3], faces: &[[i64; 3]], problems: &mut Vec<String>) {
 pub(super) fn scene(scene: &Scene) -> Result<()> {
     let mut problems = Vec::new();
     for band in 0..scene.bands {
-        if scene.reflectance.iter().skip(band).step_by(scene.bands).all(|&rho| rho == 1.0) && is_closed(scene) {
+        if (0..scene.len()).all(|i| scene.absorptance(i, band) == 0.0) && is_closed(scene) {
             problems.push(format!(
                 "every patch of this closed scene has reflectance 1 in band {band}: light never leaves it and there \
                  is no finite solution; at least one patch must have a reflectance below 1"

@@ -10,6 +10,7 @@
 //! - [`sift`]: the f32 tests that both rely on; [`crate::simd`]: their vectors
 //! - [`intersect`]: the watertight test in f64 that decides (Woop, Benthin & Wald 2013); [`own_surface`]: what a ray leaves
 //!   out of account
+//! - [`specular`]: rays followed over mirrors and through glass
 //! - [`bodies`]: what blocks, merged ([`merge`], [`solids`]) to few convex bodies ([`body`]); [`shaft`]: which of them may stand between two patches;
 //!   [`box_tree`]: where they are looked up; [`hull`]: what cannot block
 //!
@@ -30,6 +31,7 @@ mod ray;
 pub mod shaft;
 mod sift;
 mod solids;
+pub mod specular;
 mod traverse;
 mod wide;
 

@@ -154,6 +154,7 @@ impl Mesh {
             bands,
             reflectance: table(&reflectance),
             emission: table(&emission),
+            materials: Vec::new(),
             sides,
         })
     }

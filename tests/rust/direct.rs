@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use radiosity::Progress;
 use radiosity::direct::lamp::Point;
 use radiosity::direct::patches::{Direct, SCRAMBLES};
-use radiosity::direct::{Lamp, Lamps};
+use radiosity::direct::{Lamp, Lamps, Surroundings};
 use radiosity::geometry::sampling::Sobol;
 use radiosity::scene::Sides;
 use radiosity::visibility::Bvh;
@@ -111,9 +111,11 @@ fn half_hidden() -> radiosity::scene::Scene {
 #[test]
 fn light_at_points_and_on_patches_by_symmetry() {
     let scene = half_hidden();
-    let (lamps, blockers) = (Lamps::of_scene(&scene).unwrap(), Bvh::of_blockers(&scene));
+    let (lamps, tree) = (Lamps::of_scene(&scene).unwrap(), Bvh::of_scene(&scene));
+    let blockers = Bvh::of_blockers(&scene);
     assert_eq!(lamps.lamps.len(), 1);
-    let mut direct = Direct::new(&scene, &lamps, &blockers, 1e-8, 3, 4, &Progress::default()).unwrap();
+    let surroundings = Surroundings { scene: &scene, lamps: &lamps, tree: &tree, blockers: &blockers };
+    let mut direct = Direct::new(surroundings, 1e-8, 3, 4, &Progress::default()).unwrap();
     direct.sample(|_| 4096 / SCRAMBLES as u32, &Progress::default()).unwrap();
     // Mirroring at x = 0 exchanges free segments and hidden ones: half of E F is left, F = 0.199824895698 (Howell C-11).
     let mut both = [0.0];
@@ -166,8 +168,10 @@ fn light_at_points_is_right_in_the_mean() {
 #[test]
 fn nothing_is_asked_where_nothing_can_stand_between() {
     let scene = cube(2).scene_with(1, Sides::Front, |_, _| 0.5, |i, _| if i < 8 { PI } else { 0.0 });
-    let (lamps, blockers) = (Lamps::of_scene(&scene).unwrap(), Bvh::of_blockers(&scene));
-    let mut direct = Direct::new(&scene, &lamps, &blockers, 1e-9, 0, 4, &Progress::default()).unwrap();
+    let (lamps, tree) = (Lamps::of_scene(&scene).unwrap(), Bvh::of_scene(&scene));
+    let blockers = Bvh::of_blockers(&scene);
+    let surroundings = Surroundings { scene: &scene, lamps: &lamps, tree: &tree, blockers: &blockers };
+    let mut direct = Direct::new(surroundings, 1e-9, 0, 4, &Progress::default()).unwrap();
     direct.sample(|_| 100, &Progress::default()).unwrap();
     assert_eq!(direct.segments, 0);
     // All that the lamp sends arrives; on the opposite wall E F of it, F = 0.199824895698 (Howell C-11).

@@ -16,6 +16,7 @@ fn three() -> Description {
         bands: 2,
         reflectance: vec![0.5; 6],
         emission: vec![1.0; 6],
+        materials: vec![],
         sides: Sides::Front,
     }
 }
