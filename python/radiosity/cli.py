@@ -17,6 +17,7 @@ from .files import replacing
 from .form_factors import METHODS as FORM_FACTOR_METHODS
 from .form_factors import form_factors
 from .load import load
+from .memory import available_bytes
 from .references import NAMES
 from .render import FORMATS as IMAGE_FORMATS
 from .render import SHADINGS, Camera, render, save_image
@@ -29,6 +30,7 @@ from .view import UNITS, show
 
 _SCENES = tuple(name for name in scenes.__all__ if not name.endswith("_view"))
 _PAGES = (".html", ".htm")
+_TOLERANCE = 0.01
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -62,8 +64,8 @@ def _parser() -> argparse.ArgumentParser:
 
     one = command("solve", _solve, "solve a scene and write the solution")
     one.add_argument("scene", help="file or built-in scene")
-    one.add_argument("-o", "--output", required=True, metavar="FILE", help=f"{', '.join((*SOLUTION_FORMATS, '.html'))}")
-    _add_solving(one, 0.01)
+    one.add_argument("-o", "--output", required=True, metavar="FILE", help=", ".join((*SOLUTION_FORMATS, *_PAGES)))
+    _add_solving(one)
     one.add_argument("--lightmap", type=int, metavar="TEXELS", help=".glb: a texture of so many texels each way")
 
     one = command("render", _render, "make a picture of a solution")
@@ -74,18 +76,20 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--shading", choices=SHADINGS, default="smooth", help="default: smooth")
     one.add_argument("--noise", type=float, default=0.02, help="gather: relative error from sampling (default: 0.02)")
     one.add_argument("--exposure", type=float, help=".png: factor from radiance to display (default: from the picture)")
-    _add_solving(one, 0.02)
+    _add_solving(one)
 
     one = command("show", _show, "open a solution in the browser, or write the page")
     one.add_argument("solution", help="solution (.npz), file or built-in scene")
-    one.add_argument("-o", "--output", metavar="FILE", help="write this .html instead of opening it")
+    one.add_argument("-o", "--output", metavar="FILE", help="write this page (.html, .htm) instead of opening it")
     one.add_argument("--unit", choices=UNITS, default=UNITS[0], help=f"of false colours (default: {UNITS[0]})")
     _add_camera(one)
-    _add_solving(one, 0.02)
+    _add_solving(one)
 
     one = command("form-factors", _form_factors, "compute the form factors of a scene")
     one.add_argument("scene", help="file or built-in scene")
-    one.add_argument("-o", "--output", required=True, metavar="FILE", help=".npz: form_factors (n, n), areas (n,)")
+    one.add_argument(
+        "-o", "--output", required=True, metavar="FILE", help=".npz: form_factors (n, n), dense; areas (n,)"
+    )
     one.add_argument("--tolerance", type=float, default=1e-3, help="of the rows (default: 0.001)")
     one.add_argument("--method", choices=FORM_FACTOR_METHODS, default="auto", help="default: auto")
     _add_common(one)
@@ -111,11 +115,9 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bars and no report")
 
 
-def _add_solving(parser: argparse.ArgumentParser, tolerance: float) -> None:
-    parser.add_argument(
-        "--tolerance", type=float, default=tolerance, help=f"relative error of B - E (default: {tolerance:g})"
-    )
-    parser.add_argument("--method", choices=METHODS, default="auto", help="default: auto")
+def _add_solving(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--tolerance", type=float, help=f"relative error of B - E (default: {_TOLERANCE:g})")
+    parser.add_argument("--method", choices=METHODS, help="default: auto")
     _add_common(parser)
 
 
@@ -123,7 +125,7 @@ def _add_camera(parser: argparse.ArgumentParser) -> None:
     for name, text in (
         ("origin", "where the camera stands"),
         ("target", "what it looks at"),
-        ("up", "up (default: z)"),
+        ("up", "up (default: z, of glTF files y)"),
     ):
         parser.add_argument(f"--{name}", nargs=3, type=float, metavar=("X", "Y", "Z"), help=text)
     parser.add_argument("--fov", type=float, default=None, help="vertical field of view, degrees (default: 40)")
@@ -135,7 +137,7 @@ def _solve(options: argparse.Namespace) -> None:
         raise ValueError(f"{options.output}: only .glb files have a lightmap")
     solution = _solved(_scene(options), options)
     if Path(options.output).suffix.lower() in _PAGES:
-        show(solution, _camera(options)).save(options.output)
+        show(solution, _camera(options), up=_up(options)).save(options.output)
     else:
         save(solution, options.output, lightmap=options.lightmap)
     _tell(options, f"{solution.report}\nwritten    {options.output}")
@@ -172,8 +174,9 @@ def _render(options: argparse.Namespace) -> None:
 def _show(options: argparse.Namespace) -> None:
     if options.output is not None:
         _check_output(options.output, _PAGES)
+    up = _up(options)
     camera = _camera(options)
-    view = show(_solution(options), camera, unit=options.unit)
+    view = show(_solution(options), camera, unit=options.unit, up=up)
     if options.output is None:
         _tell(options, f"opened     {view.open()}")
     else:
@@ -185,6 +188,13 @@ def _form_factors(options: argparse.Namespace) -> None:
     _check_output(options.output, (".npz",))
     scene = _scene(options)
     progress = not options.quiet
+    # Written densely, whatever the method.
+    needed, available = 8 * scene.n_patches**2, available_bytes()
+    if needed > available:
+        raise MemoryError(
+            f"{scene.n_patches} x {scene.n_patches} form factors need {needed / 2**30:.3g} GiB and only "
+            f"{available / 2**30:.3g} GiB can be used: use fewer patches"
+        )
     F = form_factors(scene, options.tolerance, options.method, options.seed, options.threads, progress)
     with replacing(Path(options.output)) as temporary:
         np.savez_compressed(
@@ -220,8 +230,8 @@ def _scene(options: argparse.Namespace) -> Scene:
 def _solved(scene: Scene, options: argparse.Namespace) -> Solution:
     return solve(
         scene,
-        options.tolerance,
-        options.method,
+        _TOLERANCE if options.tolerance is None else options.tolerance,
+        options.method or "auto",
         seed=options.seed,
         threads=options.threads,
         progress=not options.quiet,
@@ -230,6 +240,10 @@ def _solved(scene: Scene, options: argparse.Namespace) -> Solution:
 
 def _solution(options: argparse.Namespace) -> Solution:
     if options.solution.lower().endswith(".npz"):
+        solving = {"--tolerance": options.tolerance, "--method": options.method, "--max-edge": options.max_edge}
+        given = [name for name, value in solving.items() if value is not None]
+        if given:
+            raise ValueError(f"{options.solution} is solved already: {', '.join(given)} cannot change it")
         return load_solution(options.solution)
     options.scene = options.solution
     return _solved(_scene(options), options)
@@ -241,12 +255,20 @@ def _camera(options: argparse.Namespace) -> Camera | None:
         name: value for name in ("origin", "target", "up", "fov") if (value := getattr(options, name, None)) is not None
     }
     if "origin" in parts and "target" in parts:
-        return Camera(**parts)
-    if parts:
+        return Camera(**{"up": _up(options), **parts})
+    if set(parts) - {"up"}:
         raise ValueError("a camera needs both --origin X Y Z and --target X Y Z")
     asked = getattr(options, "solution", getattr(options, "scene", None))
     view = getattr(scenes, f"{asked}_view", None) if asked in _SCENES else None
     return None if view is None else Camera(**view())
+
+
+def _up(options: argparse.Namespace) -> tuple[float, float, float]:
+    """The direction asked for; y for glTF files, whose rule that is; else z."""
+    asked = getattr(options, "solution", getattr(options, "scene", ""))
+    usual = (0.0, 1.0, 0.0) if asked.lower().endswith((".glb", ".gltf")) else (0.0, 0.0, 1.0)
+    up = getattr(options, "up", None)
+    return usual if up is None else tuple(up)
 
 
 def _tell(options: argparse.Namespace, text: str) -> None:

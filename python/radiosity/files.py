@@ -21,7 +21,11 @@ def replacing(path: Path) -> Iterator[str]:
         raise FileNotFoundError(f"{path.parent}: no such folder")
     if path.is_dir():
         raise IsADirectoryError(f"{path}: is a folder")
-    handle, temporary = tempfile.mkstemp(suffix=path.suffix.lower(), dir=path.parent)
+    try:
+        handle, temporary = tempfile.mkstemp(suffix=path.suffix.lower(), dir=path.parent)
+    except OSError as error:
+        # It would name the temporary file, of which the user knows nothing.
+        raise type(error)(error.errno, error.strerror, str(path)) from None
     os.close(handle)
     try:
         yield temporary

@@ -55,7 +55,8 @@ def load(path: str | os.PathLike[str]) -> Scene:
         FileNotFoundError: no such file.
         IsADirectoryError: `path` is a folder.
         ImportError: a Mitsuba scene, and Mitsuba is not installed.
-        ValueError: an unknown extension; a file that is damaged, cut short or empty, or that holds something other
+        ValueError: an unknown extension; a solution that `save` wrote, whose colours are light and no reflectance; a
+            file that is damaged, cut short or empty, or that holds something other
             than triangles or needs an extension that is not supported; values that `Scene` refuses.
 
     Warns:
@@ -77,7 +78,8 @@ def load(path: str | os.PathLike[str]) -> Scene:
         return _read_mitsuba(file)
     if extension not in _READERS:
         valid = ", ".join([*_READERS, ".xml"])
-        raise ValueError(f"{file}: unknown extension {extension or '(none)'}; valid are {valid}")
+        hint = " (load_solution reads saved solutions)" if extension == ".npz" else ""
+        raise ValueError(f"{file}: unknown extension {extension or '(none)'}{hint}; valid are {valid}")
 
     kind = extension[1:].upper()
     data = file.read_bytes()

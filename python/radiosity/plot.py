@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from .arrays import FloatArray, whole_number
 from .files import replacing
-from .render import Camera, auto_exposure, render, to_srgb
+from .render import Camera, auto_exposure, colour_bands, render, to_srgb
+from .scene import Scene
 from .solution import Solution
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ __all__ = ["animation", "bounces", "convergence", "irradiance", "links", "links_
 
 
 def bounces(
-    solutions: Iterable[Solution],
+    solutions: Solution | Iterable[Solution],
     camera: Camera,
     labels: Sequence[str] | None = None,
     *,
@@ -37,7 +38,7 @@ def bounces(
     """A strip of pictures, one a solution, in the exposure of the last.
 
     Args:
-        solutions: of a scene, as :func:`radiosity.bounces` yields them.
+        solutions: of a scene, as :func:`radiosity.bounces` yields them; or one.
         camera: the viewpoint.
         labels: titles, one a solution; None for the number of steps.
         size: width and height of each picture, pixels.
@@ -72,7 +73,7 @@ def bounces(
 
 
 def animation(
-    solutions: Iterable[Solution],
+    solutions: Solution | Iterable[Solution],
     camera: Camera,
     path: str | os.PathLike[str],
     *,
@@ -83,7 +84,7 @@ def animation(
     """The same as an animated GIF; the last picture stays four times as long.
 
     Args:
-        solutions: of a scene, as :func:`radiosity.bounces` yields them.
+        solutions: of a scene, as :func:`radiosity.bounces` yields them; or one.
         camera: the viewpoint.
         path: the file to write, ``.gif``.
         size: width and height, pixels.
@@ -221,10 +222,8 @@ def mesh(solution: Solution, camera: Camera, *, size: int = 600, shading: str = 
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
-    shown = solution.as_shown
-    scene = shown.scene
-    if scene is None:
-        raise ValueError("a solution without a scene has no mesh")
+    shown, scene = _drawn(solution)
+    colour_bands(scene.bands, "a picture")
     picture: Any = render(shown, camera, width=size, height=size, shading=shading, progress=False)
     corners = scene.vertices[scene.faces]
     facing = np.einsum("ij,ij->i", scene.normals, np.asarray(camera.origin) - scene.centroids) > 0.0
@@ -270,10 +269,9 @@ def irradiance(
 
     if shading == "gather":
         raise ValueError("false colours show the irradiance as it was solved: shading is 'flat' or 'smooth'")
-    shown = solution.as_shown
-    scene = shown.scene
-    if scene is None:
-        raise ValueError("a solution without a scene has no picture")
+    shown, scene = _drawn(solution)
+    if most is not None and not most > 0.0:
+        raise ValueError(f"most {most} is not a positive irradiance")
     # A white surface that emits nothing has the radiance H / pi.
     ones = np.ones_like(scene.reflectance)
     white = dataclasses.replace(shown, radiosity=shown.irradiance, scene=scene.with_materials(ones, 0.0 * ones))
@@ -281,7 +279,8 @@ def irradiance(
     figure = Figure(figsize=(6.6, 5.6), layout="constrained")
     axes = figure.add_subplot()
     top = float(np.percentile(seen[seen > 0.0], 99.0)) if most is None and (seen > 0.0).any() else most
-    image = axes.imshow(seen, vmin=0.0, vmax=top)
+    # Where nothing is seen there is no irradiance, not an irradiance of 0.
+    image = axes.imshow(np.where(seen > 0.0, seen, np.nan), vmin=0.0, vmax=top)
     figure.colorbar(image, label="irradiance, W/m^2", extend="max")
     axes.set_axis_off()
     return figure
@@ -301,6 +300,7 @@ def row_sums(F: FormFactors) -> Figure:
     """
     from matplotlib.figure import Figure
 
+    _require_form_factors(F)
     figure = Figure(figsize=(6.4, 3.6), layout="constrained")
     axes = figure.add_subplot()
     axes.hist(F.row_sums, bins=60, color="#4060a0")
@@ -311,11 +311,11 @@ def row_sums(F: FormFactors) -> Figure:
     return figure
 
 
-def convergence(solutions: Sequence[Solution], labels: Sequence[str] | None = None) -> Figure:
+def convergence(solutions: Solution | Sequence[Solution], labels: Sequence[str] | None = None) -> Figure:
     """The relative residual of solvers against their steps.
 
     Args:
-        solutions: of :func:`radiosity.solve_system`.
+        solutions: of :func:`radiosity.solve_system`; or one.
         labels: one each; None for the names of the methods.
 
     Returns:
@@ -327,6 +327,7 @@ def convergence(solutions: Sequence[Solution], labels: Sequence[str] | None = No
     """
     from matplotlib.figure import Figure
 
+    solutions = list(_all_of(solutions))
     if not solutions:
         raise ValueError("there is no solution to draw")
     names = [solution.report.method for solution in solutions] if labels is None else list(labels)
@@ -357,7 +358,31 @@ def _projected(camera: Camera, points: FloatArray, size: int) -> tuple[FloatArra
     return places, depth
 
 
+def _all_of(solutions: Solution | Iterable[Solution]) -> Iterator[Solution]:
+    for solution in [solutions] if isinstance(solutions, Solution) or not np.iterable(solutions) else solutions:
+        if not isinstance(solution, Solution):
+            raise TypeError(f"this draws solutions, as solve makes them, not a {type(solution).__name__}")
+        yield solution
+
+
+def _drawn(solution: Solution) -> tuple[Solution, Scene]:
+    """What is drawn of a solution, and its scene."""
+    (solution,) = _all_of(solution)
+    shown = solution.as_shown
+    if shown.scene is None:
+        raise ValueError("this solution was made from a plain matrix and knows no geometry; solve form_factors(scene)")
+    return shown, shown.scene
+
+
+def _require_form_factors(F: FormFactors) -> None:
+    from .form_factors import FormFactors
+
+    if not isinstance(F, FormFactors):
+        raise TypeError(f"this draws form factors, as form_factors makes them, not a {type(F).__name__}")
+
+
 def _links_of(F: FormFactors) -> Links:
+    _require_form_factors(F)
     found = F.links
     if found is None:
         raise ValueError(f'method {F.method!r} has no links; use form_factors(..., method="hierarchical")')
@@ -365,11 +390,12 @@ def _links_of(F: FormFactors) -> Links:
 
 
 def _frames(
-    solutions: Iterable[Solution], camera: Camera, size: int, shading: str
+    solutions: Solution | Iterable[Solution], camera: Camera, size: int, shading: str
 ) -> tuple[list[str], list[npt.NDArray[np.uint8]]]:
     """Titles and pictures, all in the exposure of the last."""
     titles, images = [], []
-    for solution in solutions:
+    for solution in _all_of(solutions):
+        colour_bands(solution.radiosity.shape[1], "a picture")
         image: Any = render(solution, camera, width=size, height=size, shading=shading, progress=False)
         titles.append(str(solution.report.steps))
         images.append(image)

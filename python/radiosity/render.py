@@ -112,10 +112,12 @@ def render(
         patch = int(np.argmax((shown.scene.mirror > 0.0) | (shown.scene.ior > 0.0)))
         kind = "a mirror" if shown.scene.mirror[patch] > 0.0 else "glass"
         raise ValueError(f"patch {patch} is {kind}, and render draws diffuse patches: two_pass draws mirrors and glass")
-    if on_image is not None and not callable(on_image):
-        raise TypeError(f"on_image must be callable, not {type(on_image).__name__}")
     if shading not in SHADINGS:
         raise ValueError(f"unknown shading {shading!r}; the shadings are {SHADINGS}")
+    if on_image is not None and shading != "gather":
+        raise ValueError(f"on_image tells of the passes of shading 'gather'; {shading!r} has none")
+    if not 0.0 < real_number("tolerance", tolerance) < 1.0:
+        raise ValueError(f"tolerance {tolerance} is outside (0, 1)")
     if shading == "gather":
         return _gathered(shown, camera, width, height, tolerance, seed, on_image, threads, progress)
     width, height = _size(width, height)
@@ -151,8 +153,8 @@ def two_pass(
     diffuse surface that it shows, and gathers there what arrives, as ``render(..., shading="gather")`` does. Where
     nothing is a mirror or glass there is nothing for a second pass, and the picture is that one.
 
-    Lamps in flat mirrors have closed forms, and so have sharp edges of their light. A caustic, the light of a lamp by way
-    of glass or of a bent mirror, is found only by rays that start where it falls: it is there, and takes many passes.
+    Lamps in flat mirrors have closed forms, and their light has sharp edges. A caustic, the light of a lamp by
+    way of glass or of a bent mirror, is known as an average over patches and drawn no finer: subdivide where it falls.
 
     Args:
         solution: of :func:`radiosity.solve` by rays.
@@ -175,8 +177,6 @@ def two_pass(
     Sources:
         Wallace, Cohen & Greenberg 1987; Sillion & Puech 1989.
     """
-    if on_image is not None and not callable(on_image):
-        raise TypeError(f"on_image must be callable, not {type(on_image).__name__}")
     shown = _shown(solution, camera)
     return _gathered(shown, camera, width, height, tolerance, seed, on_image, threads, progress)
 
@@ -195,6 +195,12 @@ def _shown(solution: Solution, camera: Camera) -> Solution:
     if not shown.radiosity.shape == shown.irradiance.shape == shape:
         raise ValueError(f"the solution has shape {shown.radiosity.shape}, and its scene {shape}")
     return shown
+
+
+def colour_bands(bands: int, what: str) -> None:
+    """Refuses numbers of bands that are no colours."""
+    if bands not in (1, 3):
+        raise ValueError(f"{what} has 1 band (grey) or 3 (RGB), not {bands}; choose bands to show")
 
 
 def _size(width: int, height: int) -> tuple[int, int]:
@@ -217,6 +223,8 @@ def _gathered(
     progress: Progress,
 ) -> FloatArray:
     assert shown.scene is not None
+    if on_image is not None and not callable(on_image):
+        raise TypeError(f"on_image must be callable, not {type(on_image).__name__}")
     width, height = _size(width, height)
     with reporter(progress, "render") as report:
         image, reached, passes = _core.gather(
@@ -242,10 +250,13 @@ def _gathered(
 
 
 def auto_exposure(image: FloatArray) -> float:
-    """The factor that brings the 95th percentile of the picture's non-black pixels to 0.8: lamps may burn out."""
+    """The factor that brings the brightest of what is no lamp to 0.8: its 95th percentile over the pixels.
+
+    A lamp is what is more than ten times as bright as half of the lit pixels: it may burn out.
+    """
     brightness = np.asarray(image).max(axis=-1)
     lit = brightness[brightness > 0]
-    return float(0.8 / np.percentile(lit, 95)) if lit.size else 1.0
+    return float(0.8 / np.percentile(lit[lit <= 10.0 * np.median(lit)], 95)) if lit.size else 1.0
 
 
 def shown_radiance(solution: Solution) -> FloatArray:
@@ -258,8 +269,15 @@ def shown_radiance(solution: Solution) -> FloatArray:
 
 
 def exposure_of(solution: Solution, exposure: float | None) -> float:
-    """The exposure asked for, or one that brings the bright patches near to white."""
-    return auto_exposure(solution.radiosity / np.pi) if exposure is None else float(exposure)
+    """The exposure asked for, or one that brings what the patches reflect to 0.8: its 95th percentile by area."""
+    if exposure is not None:
+        return float(exposure)
+    assert solution.scene is not None
+    reflected = (solution.radiosity - solution.scene.emission).max(axis=1) / np.pi
+    order = np.argsort(reflected)
+    areas = np.cumsum(np.where(reflected > 0.0, solution.scene.areas, 0.0)[order])
+    bright = reflected[order][np.searchsorted(areas, 0.95 * areas[-1])]
+    return float(0.8 / bright) if bright > 0.0 else auto_exposure(solution.radiosity / np.pi)
 
 
 def to_srgb(image: FloatArray, exposure: float | None = None) -> npt.NDArray[np.uint8]:
@@ -287,8 +305,7 @@ def save_image(path: str | os.PathLike[str], image: Any, exposure: float | None 
     pixels = real_array("image", image)
     if pixels.ndim != 3 or 0 in pixels.shape:
         raise ValueError(f"image must have shape (h, w, b), not {pixels.shape}")
-    if pixels.shape[2] not in (1, 3):
-        raise ValueError(f"{path}: a picture has 1 band (grey) or 3 (RGB), not {pixels.shape[2]}; choose bands to show")
+    colour_bands(pixels.shape[2], f"{path}: a picture")
     if not np.isfinite(pixels).all():
         raise ValueError("image holds values that are not finite")
     if exposure is not None and not (math.isfinite(exposure) and exposure > 0.0):

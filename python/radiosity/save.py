@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,9 @@ def save(
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in FORMATS:
-        raise ValueError(f"{path}: unknown format {path.suffix!r}; the formats are {FORMATS}")
+        others = {".png": "save_image writes pictures", ".exr": "save_image writes pictures", ".html": "show(...).save"}
+        hint = f" ({others[kind]})" if kind in others else ""
+        raise ValueError(f"{path}: unknown format {path.suffix!r}{hint}; the formats are {FORMATS}")
     if solution.scene is None and kind != ".npz":
         raise ValueError(f"{path}: this solution was made from a plain matrix and has no mesh; .npz keeps its numbers")
     if exposure is not None and not 0.0 < real_number("exposure", exposure) < np.inf:
@@ -95,6 +98,8 @@ def load_solution(path: str | os.PathLike[str]) -> Solution:
         ValueError: the file is no saved solution, is damaged, or was written by a later version.
     """
     path = Path(path)
+    if path.is_file() and not zipfile.is_zipfile(path):
+        raise ValueError(f"{path}: no saved solution; only the .npz files of save can be read again, whole")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             contents = {name: file[name] for name in file.files}

@@ -181,7 +181,8 @@ class Scene:
         return {"arrays": arrays, "parent": self.parent, "names": self.names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self._core = _core.Scene(*state["arrays"], False)
+        vertices, faces, reflectance, emission, mirror, ior = state["arrays"]
+        self._core = _core.Scene(vertices, faces, reflectance, emission, mirror, ior, False)
         self.parent = state["parent"]
         self.names = state["names"]
 

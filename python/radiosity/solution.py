@@ -35,7 +35,7 @@ class EnergyAudit:
     absorbed: FloatArray
     """(b,) sum of A (1 - rho) H."""
     left: FloatArray
-    """(b,) what left the scene: sum of A B times the remainder."""
+    """(b,) what left the scene or met the back of a patch: sum of A B times the remainder."""
     unshot: FloatArray
     """(b,) what the iteration had not yet sent on: sum of A times the residual."""
 

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
-from .arrays import FloatArray, real_number, whole_number
+from .arrays import FloatArray, real_number, shaped, whole_number
 from .files import replacing
 from .render import Camera, exposure_of
 from .scene import Scene
@@ -73,7 +73,7 @@ class View:
             file.write(self.page)
         if not webbrowser.open(Path(name).as_uri()):
             os.unlink(name)
-            raise OSError("there is no browser here: write the page with .save(path) or --output and open that")
+            raise OSError("there is no browser here: write the page with .save(path) and open that")
         return Path(name)
 
 
@@ -86,19 +86,21 @@ def show(
     exposure: float | None = None,
     title: str = "radiosity",
     height: int = 600,
+    up: Sequence[float] = (0.0, 0.0, 1.0),
 ) -> View:
     """A viewer: orbit, pan, walk; exposure; irradiance in false colours; mesh lines; the numbers of a patch by a click.
 
     Args:
         solution: a solution of a scene; or several of one scene, such as :func:`radiosity.bounces` yields, for a
             slider. Of ``method="hierarchical"`` the elements are shown.
-        camera: the first view; None looks at the scene from outside, through the backs of walls.
+        camera: the first view; None looks at the scene from outside, through the backs of walls, with ``up`` upwards.
         labels: of several solutions, one each; None for the number of steps.
         unit: of the false colours: ``"W/m^2"``, the sum of the bands; or ``"lux"``, 179 lm/W times the luminance of
             three bands taken as R, G, B of Rec. 709, or of one taken as white.
         exposure: the factor from radiance to display, where 1 is white; None chooses one from the last solution.
         title: of the page.
         height: of the viewer in a notebook, pixels.
+        up: without a camera, (3,) the direction that is up: z by default; (0, 1, 0) for most glTF files.
 
     Returns:
         A :class:`View`: a notebook shows it, ``.save("room.html")`` writes a page that works without a network, and
@@ -109,7 +111,8 @@ def show(
         ValueError: no solutions, or of different scenes, or without one; neither one band nor three; a wrong unit or
             exposure.
     """
-    solutions = [solution] if isinstance(solution, Solution) else list(solution)
+    several = np.iterable(solution) and not isinstance(solution, Solution)
+    solutions: list[Solution] = list(solution) if several else [solution]  # type: ignore[arg-type, list-item]
     if not solutions:
         raise ValueError("there is no solution to show")
     for one in solutions:
@@ -173,7 +176,7 @@ def show(
         "exposure": exposure_of(last, exposure),
         "colours": colours,
         "gradient": gradient,
-        "camera": _first_view(scene) if camera is None else vars(camera),
+        "camera": vars(_first_view(scene, _unit("up", up)) if camera is None else camera),
     }
     page = Template(_asset("page.html")).substitute(
         title=html.escape(title),
@@ -230,9 +233,23 @@ def _colours() -> tuple[list[str], list[int]]:
     return gradient, bytes_of.ravel().tolist()
 
 
-def _first_view(scene: Scene) -> dict[str, Any]:
+def _first_view(scene: Scene, up: FloatArray) -> Camera:
     """All of the scene, from above one of its corners."""
     low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
     centre, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-    origin: FloatArray = centre + radius / np.sin(np.radians(20.0)) * np.array([0.5, -0.75, 0.43]) * 1.1
-    return {"origin": origin.tolist(), "target": centre.tolist(), "up": [0.0, 0.0, 1.0], "fov": 40.0}
+    # The axis across that is furthest from up comes first.
+    across = np.eye(3)[np.argmin(np.abs(up))]
+    across = across - (across @ up) * up
+    across /= np.linalg.norm(across)
+    towards = 0.5 * across - 0.75 * np.cross(up, across) + 0.43 * up
+    origin = centre + 1.1 * radius / np.sin(np.radians(20.0)) * towards
+    return Camera(tuple(origin.tolist()), tuple(centre.tolist()), tuple(up.tolist()))
+
+
+def _unit(name: str, value: Sequence[float]) -> FloatArray:
+    vector = shaped(name, value, 3)
+    length = float(np.linalg.norm(vector))
+    if not 0.0 < length < np.inf:
+        raise ValueError(f"{name} {tuple(vector.tolist())} is no direction")
+    unit: FloatArray = vector / length
+    return unit

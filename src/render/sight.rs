@@ -98,7 +98,11 @@ impl<'a> Sight<'a> {
             return Ok(());
         }
         Err(Error::Invalid(if back == NO_PATCH {
-            format!("the camera at {origin} looks at nothing: no patch is in its view")
+            let [low, high] = [Vec3::min, Vec3::max]
+                .map(|pick| self.scene.vertices().iter().copied().reduce(pick).unwrap_or(Vec3::ZERO));
+            format!(
+                "the camera at {origin} looks at nothing: no patch is in its view; the scene reaches from {low} to {high}"
+            )
         } else {
             format!(
                 "the camera at {origin} sees only the backs of patches (patch {back} among them): it stands inside a wall \

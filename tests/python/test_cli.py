@@ -1,5 +1,7 @@
 """The command line."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -86,6 +88,8 @@ def test_form_factors_are_written(tmp_path, capsys):
         (["render", "cornell_box", "-o", "x.png", "--size", "0", "4", "--tolerance", "0.5"], "width 0 is outside"),
         (["show", "cornell_box", "-o", "x.pdf"], "unknown format '.pdf'"),
         (["form-factors", "cornell_box", "-o", "x.csv"], "unknown format '.csv'"),
+        (["show", "x.npz", "-o", "x.html", "--max-edge", "1", "--tolerance", "0.1"], "--tolerance, --max-edge cannot"),
+        (["solve", "x.npz", "-o", "y.npz"], "x.npz: no such file"),
     ],
 )
 def test_wrong_requests_are_refused_in_one_line(tmp_path, monkeypatch, capsys, arguments, message):
@@ -95,3 +99,14 @@ def test_wrong_requests_are_refused_in_one_line(tmp_path, monkeypatch, capsys, a
     assert message in told
     assert told.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_gltf_files_have_y_up(tmp_path):
+    pytest.importorskip("PIL.Image")
+    picture, told = str(tmp_path / "box.png"), str(tmp_path / "told.png")
+    glb = str(Path(rad.__file__).parent / "data" / "cornell_box.glb")
+    view = ["--origin", "0.278", "0.273", "-0.8", "--target", "0.278", "0.273", "0", "--size", "32", "32"]
+    same = [*view, "--tolerance", "0.2", "--quiet"]
+    assert main(["render", glb, "-o", picture, *same]) == 0
+    assert main(["render", glb, "-o", told, "--up", "0", "1", "0", *same]) == 0
+    assert Path(picture).read_bytes() == Path(told).read_bytes()

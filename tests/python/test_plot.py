@@ -25,7 +25,7 @@ def test_false_colours_show_the_irradiance(factors):
     assert figure.axes[1].get_ylabel() == "irradiance, W/m^2"
     figure = rad.plot.irradiance(solution, VIEW, size=20, most=5.0)
     assert figure.axes[0].images[0].get_clim() == (0.0, 5.0)
-    with pytest.raises(ValueError, match="without a scene"):
+    with pytest.raises(ValueError, match="knows no geometry"):
         rad.plot.irradiance(rad.solve_system(np.zeros((2, 2)), 1.0, 0.5, progress=False), VIEW)
 
 
@@ -48,3 +48,22 @@ def test_convergence_draws_every_residual(factors):
         rad.plot.convergence([])
     with pytest.raises(ValueError, match="labels"):
         rad.plot.convergence(solutions, ["one"])
+
+
+def test_what_cannot_be_drawn_is_refused_before_any_work(factors):
+    scene = factors.scene
+    solution = rad.solve_system(factors, scene.emission, scene.reflectance, progress=False)
+    five = rad.solve_system(factors, np.ones((scene.n_patches, 5)), 0.5, progress=False)
+    for draw in (rad.plot.mesh, rad.plot.irradiance, rad.plot.bounces):
+        with pytest.raises(TypeError, match="not a Scene"):
+            draw(scene, VIEW)
+    for draw in (rad.plot.mesh, rad.plot.bounces):
+        with pytest.raises(ValueError, match=r"1 band \(grey\) or 3 \(RGB\), not 5"):
+            draw(five, VIEW)
+    for draw in (rad.plot.row_sums, rad.plot.links):
+        with pytest.raises(TypeError, match="not a Solution"):
+            draw(solution)
+    with pytest.raises(ValueError, match="most -1 is not"):
+        rad.plot.irradiance(solution, VIEW, most=-1)
+    # One solution is enough.
+    assert len(rad.plot.convergence(solution).axes[0].lines) == len(rad.plot.bounces(solution, VIEW).axes) == 1

@@ -180,3 +180,18 @@ def test_files_that_are_no_solutions_are_refused(solution, tmp_path):
         rad.load_solution(tmp_path / "later.npz")
     with pytest.raises(FileNotFoundError):
         rad.load_solution(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize("ending", [".glb", ".ply"])
+def test_saved_light_is_not_taken_for_paint(solution, tmp_path, ending):
+    rad.save(solution, tmp_path / f"lit{ending}")
+    with pytest.raises(ValueError, match="a saved solution: its colours are light"):
+        rad.load(tmp_path / f"lit{ending}")
+
+
+def test_other_endings_are_sent_to_who_writes_them(solution, tmp_path):
+    with pytest.raises(ValueError, match="save_image writes pictures"):
+        rad.save(solution, tmp_path / "x.png")
+    (tmp_path / "x.npz").write_bytes(b"")
+    with pytest.raises(ValueError, match="load_solution reads saved solutions"):
+        rad.load(tmp_path / "x.npz")

@@ -1,5 +1,7 @@
 """The viewer: what the page holds, and what a real browser makes of it."""
 
+import json
+import re
 import shutil
 
 import numpy as np
@@ -174,3 +176,22 @@ def test_lux_and_elements_and_what_is_refused(solution, tmp_path):
         rad.show(rad.solve_system(np.zeros((2, 2)), 1.0, 0.5, progress=False))
     with pytest.raises(ValueError, match=r"\.html"):
         rad.show(solution).save(tmp_path / "view.pdf")
+
+
+def test_up_turns_the_first_view(solution):
+    def first(**options):
+        page = rad.show(solution, **options).page
+        return json.loads(re.search(r'"camera": (\{.*?\})', page)[1])
+
+    low, high = solution.scene.vertices.min(axis=0), solution.scene.vertices.max(axis=0)
+    for up in ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0]):
+        camera = first(up=up)
+        assert camera["up"] == up
+        # From above: higher than all of the scene.
+        assert np.dot(camera["origin"], up) > np.dot(high, up)
+        np.testing.assert_allclose(camera["target"], 0.5 * (low + high))
+    with pytest.raises(ValueError, match="is no direction"):
+        rad.show(solution, up=(0, 0, 0))
+    for wrong in (solution.scene, None):
+        with pytest.raises(TypeError, match=r"must be a radiosity\.Solution"):
+            rad.show(wrong)

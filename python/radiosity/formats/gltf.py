@@ -13,7 +13,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..materials import Surface, factors_of_gltf, surface_of_mesh
-from .part import MeshError, Part, part_of, triangles_only, trimesh_scene
+from .part import SOLVED, MeshError, Part, part_of, triangles_only, trimesh_scene
 
 # Extensions without which a file still shows the same triangles. A file that requires any other one is refused, as the
 # glTF specification asks: read without it, its geometry or its colours would be wrong.
@@ -70,6 +70,8 @@ def _check_gltf(tree: Mapping[str, Any]) -> None:
         raise MeshError(f"it requires {', '.join(unsupported)}, which is not supported; export it without")
     accessors = tree.get("accessors", [])
     for m, mesh in enumerate(tree.get("meshes", [])):
+        if any("_RADIOSITY_0" in primitive["attributes"] for primitive in mesh["primitives"]):
+            raise MeshError(SOLVED)
         label = f"mesh {mesh.get('name', m)!r}"
         for k, primitive in enumerate(mesh["primitives"]):
             mode = primitive.get("mode", 4)

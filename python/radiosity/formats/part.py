@@ -26,6 +26,9 @@ class Part:
     surface: Surface
 
 
+SOLVED = "a saved solution: its colours are light, not reflectance; save .npz as well, which load_solution reads"
+
+
 class MeshError(ValueError):
     """A mesh that cannot become a scene, for a reason that reads well; what goes wrong in a library is reworded."""
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .part import MeshError, Part, part_of, triangles_only, trimesh_scene
+from .part import SOLVED, MeshError, Part, part_of, triangles_only, trimesh_scene
 
 
 def read_plain(file: Path, data: bytes, notes: list[str]) -> list[Part]:
@@ -51,6 +51,8 @@ def _stl_contents(data: bytes) -> tuple[int, list[str]]:
 def _check_ply(mesh: Any) -> None:
     """Compare with the counts of the header, and give the colour of a quadrilateral to both its halves."""
     elements = mesh.metadata.get("_ply_raw", {})
+    if "radiosity_0" in elements.get("face", {}).get("properties", {}):
+        raise MeshError(SOLVED)
     vertices = elements.get("vertex", {}).get("length", 0)
     faces = elements.get("face", {}).get("length", 0)
     # trimesh splits vertices that have several texture coordinates, and polygons: both only add.

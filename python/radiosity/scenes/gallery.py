@@ -25,7 +25,7 @@ def gallery(max_edge: float | None = None) -> Scene:
 
     Each room has a skylight of (120, 132, 150) W/m^2, deep in a shaft of the ceiling; the second has a window to the
     day, (260, 255, 240) W/m^2. Pictures in frames hang on the walls, sculptures of polyhedra stand on plinths, and
-    there are benches. The rooms are closed.
+    there are benches. The rooms are closed; some light is lost on the backs of what hangs and stands there.
 
     Args:
         max_edge: longest edge in m; None gives the coarsest mesh, 1,936 patches.

@@ -28,7 +28,8 @@ def theatre(max_edge: float | None = None) -> Scene:
     The stage is 14 m wide behind a proscenium 7 m high, with curtains, a back cloth, and a table and steps on it.
     Eighteen rows of seats rise towards the back, six more on a balcony. Sixteen panels in the ceiling emit (95, 78, 52)
     W/m^2; ten spotlights, small plates deep in black tubes under the ceiling, emit up to 5,200 W/m^2 towards the
-    stage, warm in the middle and blue at the sides. The hall is closed.
+    stage, warm in the middle and blue at the sides. The hall is closed; some light is
+    lost on the backs of what stands in it.
 
     Args:
         max_edge: longest edge in m; None gives the coarsest mesh, 53,548 patches.
