@@ -48,9 +48,9 @@ class Scene:
         mirror: what of the light a perfect mirror sends back, in [0, 1], all bands alike; a scalar or (n,). 0 is no
             mirror.
         ior: index of refraction (> 0) of the body behind a smooth clear surface, its front outside; a scalar or (n,).
-            nan is no glass. A patch is diffuse, a mirror or glass: mirrors and glass have reflectance 0 and emission 0,
-            and no radiosity. :func:`radiosity.solve` by rays carries light over them, :func:`radiosity.two_pass` draws
-            them; what cannot carry them refuses such scenes.
+            nan is no glass. Glass is a closed body with nothing diffuse in it. A patch is diffuse, a mirror or glass:
+            mirrors and glass have reflectance 0 and emission 0, and no radiosity. :func:`radiosity.solve` by rays
+            carries light over them, :func:`radiosity.two_pass` draws them; what cannot carry them refuses such scenes.
 
     Raises:
         TypeError: an argument holds no numbers, or faces no integers.

@@ -12,8 +12,8 @@
 //! mirror absorbs it, so that whatever arrives counts in full (Kajiya 1986). Chance is a hash of the direction: the same ray
 //! always goes the same way.
 //!
-//! Limits. Glass is clear, and radiance is what is followed: the factor n^2 of light within glass is taken off again where it leaves. A
-//! ray that is still under way after [`MOST`] turns is taken to be absorbed.
+//! Limits. Glass is clear, and a closed body with nothing diffuse in it: radiance is n^2 times as high within, which cancels only
+//! where light leaves again. A ray that is still under way after [`MOST`] turns is taken to be absorbed.
 
 use super::{Bvh, Hit, Ray};
 use crate::geometry::Vec3;

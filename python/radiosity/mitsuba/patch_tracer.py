@@ -29,7 +29,7 @@ from .reference import (
     three_bands,
 )
 from .variant import is_scalar, mitsuba_for_a_while
-from .writing import HAIR, build, twice_area_vectors, unit_vectors
+from .writing import HAIR, build, specular_of, twice_area_vectors, unit_vectors
 
 # Paths in one kernel: the more, the finer the strata and the fewer fixed costs; 4 million take about 0.2 GiB.
 LARGEST_LAUNCH = 1 << 22
@@ -55,7 +55,7 @@ class PatchTracer:
         rho, self._emission = three_bands(scene.reflectance), three_bands(scene.emission)
         with mitsuba_for_a_while() as mi:
             self.variant = str(mi.variant())
-            self._traced = build(mi, self._corners, rho, self._emission)
+            self._traced = build(mi, self._corners, rho, self._emission, specular_of(scene))
             bounces = last_bounce(float(rho.max()), None)
             depth, roulette = (-1, MITSUBA_ROULETTE_DEPTH) if bounces is None else (bounces + 1, bounces + 1)
             self._integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette})

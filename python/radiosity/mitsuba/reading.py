@@ -1,4 +1,4 @@
-"""Scenes from Mitsuba: what of them is diffuse and made of triangles."""
+"""Scenes from Mitsuba: what of them is diffuse, a mirror or glass, and made of triangles."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 def from_mitsuba(mi_scene: Any) -> Scene:
     """Return a `Scene` of three bands with the triangles of a `mitsuba.Scene` of an RGB variant.
 
-    Taken over: shapes that are meshes (files, `cube`, `rectangle`), `diffuse` and `twosided` diffuse BSDFs, `area`
-    emitters. Patches come in the order of `mi_scene.shapes()` and are named after their shapes. A texture becomes its
-    mean over each triangle (16 points). Vertex normals decide which side is the front, as in Mitsuba; the smooth
-    shading they give is left out.
+    Taken over: shapes that are meshes (files, `cube`, `rectangle`), `diffuse` BSDFs, `conductor` without a material (a
+    perfect mirror, grey), both also `twosided`, `dielectric`, and `area` emitters. Patches come in the order of
+    `mi_scene.shapes()` and are named after their shapes. A texture becomes its mean over each triangle (16 points).
+    Vertex normals decide which side is the front, as in Mitsuba; the smooth shading they give is left out.
 
     A `twosided` shape becomes two patches per triangle: the front one, and after all front ones of the shape a
     reversed copy in the same place with the reflectance of the back. Only the front emits, as in Mitsuba.
@@ -54,6 +54,8 @@ def from_mitsuba(mi_scene: Any) -> Scene:
     faces: list[npt.NDArray[Any]] = []
     reflectance: list[FloatArray] = []
     emission: list[FloatArray] = []
+    mirror: list[FloatArray] = []
+    ior: list[FloatArray] = []
     names: list[str] = []
     first = 0
     for shape in shapes:
@@ -61,7 +63,12 @@ def from_mitsuba(mi_scene: Any) -> Scene:
         triangles = np.array(shape.faces_buffer(), dtype=np.int64).reshape(-1, 3)
         front = _front_faces(shape, points, triangles)
         for side in (1, -1) if _is_twosided(shape) else (1,):
+            mirrored, index = _specular(mi, shape, side)
+            mirror.append(np.full(len(front), mirrored))
+            ior.append(np.full(len(front), index))
             rho, radiance = _face_materials(mi, shape, points, triangles, side)
+            if mirrored > 0.0 or index > 0.0:
+                rho = np.zeros_like(rho)
             faces.append(first + front[:, ::side])
             reflectance.append(rho)
             emission.append(math.pi * radiance)
@@ -74,11 +81,44 @@ def from_mitsuba(mi_scene: Any) -> Scene:
         reflectance=np.concatenate(reflectance),
         emission=np.concatenate(emission),
         names=names,
+        mirror=np.concatenate(mirror),
+        ior=np.concatenate(ior),
     )
 
 
 def _is_twosided(shape: Any) -> bool:
     return str(shape.bsdf().class_name()) == "TwoSidedBRDF"
+
+
+def _specular(mi: Any, shape: Any, side: int) -> tuple[float, float]:
+    """Return what a side of the shape mirrors (0 for none) and its index of refraction (nan for none)."""
+    bsdf = shape.bsdf()
+    values = mi.traverse(bsdf)
+    if bsdf.class_name() == "SmoothDielectric":
+        return 0.0, float(np.ravel(values["eta"])[0])
+    reflected = _of_side(values, side).get("specular_reflectance.value")
+    return (0.0 if reflected is None else float(np.ravel(reflected)[0])), math.nan
+
+
+def _of_side(values: Any, side: int) -> dict[str, Any]:
+    """Return the parameters of the BSDF that a side of a shape has, by their own names."""
+    wanted = "brdf_1." if side < 0 and any(key.startswith("brdf_1.") for key, _ in values) else "brdf_0."
+    return {
+        key.removeprefix(wanted): value
+        for key, value in values
+        if key.startswith(wanted) or not key.startswith("brdf_")
+    }
+
+
+def _is_mirror(values: Any, side: int) -> bool:
+    """Return whether these are parameters of a conductor that reflects alike in all directions and bands."""
+    own = _of_side(values, side)
+    names = ("eta.value", "k.value", "specular_reflectance.value")
+    if not all(name in own for name in names):
+        return False
+    eta, k, reflected = (np.ravel(own[name]) for name in names)
+    # What Mitsuba gives the material "none".
+    return bool((eta == 0.0).all() and (k == 1.0).all() and (reflected == reflected[0]).all())
 
 
 def _shape_problems(mi: Any, shape: Any) -> list[str]:
@@ -90,9 +130,16 @@ def _shape_problems(mi: Any, shape: Any) -> list[str]:
     bsdf = shape.bsdf()
     sides = int(mi.BSDFFlags.FrontSide) | int(mi.BSDFFlags.BackSide)
     kinds = {int(bsdf.flags(k)) & ~sides for k in range(bsdf.component_count())}
-    known = bsdf.class_name() in ("SmoothDiffuse", "TwoSidedBRDF")
-    if not known or kinds != {int(mi.BSDFFlags.DiffuseReflection)}:
-        problems.append(f"{name} has the BSDF {bsdf.class_name()}: only diffuse and twosided diffuse reflect evenly")
+    kind = bsdf.class_name()
+    diffuse = kind in ("SmoothDiffuse", "TwoSidedBRDF") and kinds == {int(mi.BSDFFlags.DiffuseReflection)}
+    mirror = kind in ("SmoothConductor", "TwoSidedBRDF") and all(_is_mirror(mi.traverse(bsdf), s) for s in (1, -1))
+    if not (diffuse or mirror or kind == "SmoothDielectric"):
+        problems.append(
+            f"{name} has the BSDF {kind}: only diffuse, conductor of material none (grey), both also twosided, and "
+            "dielectric can be carried"
+        )
+    elif not diffuse and shape.is_emitter():
+        problems.append(f"{name} emits and is specular: a mirror or glass has no radiosity of its own")
     if shape.is_medium_transition():
         problems.append(f"{name} bounds a medium: between patches there is only vacuum")
     return problems

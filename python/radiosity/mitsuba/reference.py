@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..scene import Scene
 
 from .variant import is_scalar, mitsuba_for_a_while
-from .writing import HAIR, apart, build, run_starts, twice_area_vectors, unit_vectors
+from .writing import HAIR, apart, build, run_starts, specular_of, twice_area_vectors, unit_vectors
 
 # Half of the traced scene's longest side. Mitsuba lifts rays by (1 + max|p|) * 9e-5: at 100 the 1 no longer counts,
 # and the lift is 9e-5 of the scene however small, large or far away the scene was.
@@ -59,8 +59,8 @@ def reference_radiosity(
     radiosity is left out: 916 bounces at reflectance 0.99, and as much slower. The scene is centred and scaled before
     tracing, which does not change B. The same seed and variant give the same numbers.
 
-    Each run of patches with equal emission is an emitter of its own; a thousand of them cost about a second per half
-    million paths.
+    Mirrors and glass have no radiosity: 0. Each run of patches with equal emission is an emitter of its own; a thousand
+    of them cost about a second per half million paths.
 
     Args:
         scene: n patches, b bands (any number).
@@ -92,7 +92,10 @@ def reference_radiosity(
             if unit == 0.0:
                 continue
             integrator = _path_integrator(mi, float(rho.max()), last_bounce(float(rho.max()), max_bounces))
-            reflected, error = _reflected(mi, integrator, corners, rho, emission / unit, per_patch, seed)
+            specular = specular_of(scene)
+            reflected, error = _reflected(mi, integrator, corners, rho, emission / unit, specular, per_patch, seed)
+            # A path that begins at a mirror or at glass shows what is seen there.
+            reflected[specular.any(axis=1)] = error[specular.any(axis=1)] = 0.0
             width = radiosity[:, bands].shape[1]
             radiosity[:, bands] += unit * reflected[:, :width]
             standard_error[:, bands] = unit * error[:, :width]
@@ -163,13 +166,20 @@ def _path_integrator(mi: Any, largest_reflectance: float, bounces: int | None) -
 
 
 def _reflected(
-    mi: Any, integrator: Any, corners: FloatArray, rho: FloatArray, emission: FloatArray, per_patch: int, seed: int
+    mi: Any,
+    integrator: Any,
+    corners: FloatArray,
+    rho: FloatArray,
+    emission: FloatArray,
+    specular: FloatArray,
+    per_patch: int,
+    seed: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return B - E and its standard error, (n, 3) each, from `per_patch` paths for each triangle (n, 3, 3)."""
     patches = len(corners)
-    traced = build(mi, corners, rho, emission)
+    traced = build(mi, corners, rho, emission, specular)
     # Mesh and face in the mesh of each patch, to see whether a ray reached it.
-    starts = np.array(run_starts(emission))
+    starts = np.array(run_starts(emission, specular))
     mesh = np.searchsorted(starts, np.arange(patches), side="right") - 1
     face = np.arange(patches) - starts[mesh]
     normals = unit_vectors(twice_area_vectors(corners))

@@ -1,4 +1,4 @@
-"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters."""
+"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters, mirrors and glass."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def to_mitsuba(scene: Scene) -> Any:
 
     One band becomes grey, three become RGB. Surfaces are one-sided as in `Scene`: a `diffuse` BSDF with the
     reflectance of each patch as the mesh attribute `face_reflectance`, and an `area` emitter of radiance
-    emission / pi. Consecutive patches of equal emission share a mesh, and the order of patches is kept.
+    emission / pi. A mirror is a `conductor` without a material, glass a `dielectric`. Consecutive patches of equal
+    emission and material share a mesh, and the order of patches is kept.
 
     Coordinates are kept, rounded to 32 bits, with one exception: a patch and its reversed twin in the same place (as
     `sides="both"` makes them) are each moved by 5e-6 of the scene's size along their normals, because a ray could not
@@ -45,22 +46,28 @@ def to_mitsuba(scene: Scene) -> Any:
     mi = mitsuba_with_rgb()
     shape = (scene.n_patches, 3)
     corners = apart(scene.vertices[scene.faces])
-    return build(mi, corners, np.broadcast_to(scene.reflectance, shape), np.broadcast_to(scene.emission, shape))
+    reflectance, emission = np.broadcast_to(scene.reflectance, shape), np.broadcast_to(scene.emission, shape)
+    return build(mi, corners, reflectance, emission, specular_of(scene))
 
 
-def build(mi: Any, corners: FloatArray, reflectance: FloatArray, emission: FloatArray) -> Any:
-    """Build a Mitsuba scene from triangles (n, 3, 3), reflectance (n, 3) and emission (n, 3) in W/m^2.
+def specular_of(scene: Scene) -> FloatArray:
+    """Return what each patch mirrors and its index of refraction, (n, 2); 0 where it does neither."""
+    return np.stack([scene.mirror, np.nan_to_num(scene.ior)], axis=1)
 
-    A mesh for each run of equal emission: Mitsuba 3.9 accepts a `mesh_attribute` as the radiance of an area light, but
-    its light sampling then silently finds no light.
+
+def build(mi: Any, corners: FloatArray, reflectance: FloatArray, emission: FloatArray, specular: FloatArray) -> Any:
+    """Build a Mitsuba scene from triangles (n, 3, 3), reflectance, emission in W/m^2 (n, 3) and `specular_of` (n, 2).
+
+    A mesh for each run of equal emission and material: Mitsuba 3.9 accepts a `mesh_attribute` as the radiance of an
+    area light, but its light sampling then silently finds no light.
     """
     bsdf = mi.load_dict({"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "face_reflectance"}})
     areas = 0.5 * np.linalg.norm(twice_area_vectors(corners), axis=1)
-    starts = run_starts(emission)
+    starts = run_starts(emission, specular)
     content: dict[str, Any] = {"type": "scene", "integrator": {"type": "path"}}
     for start, stop in zip(starts, [*starts[1:], len(corners)], strict=True):
         properties = mi.Properties()
-        properties["bsdf"] = bsdf
+        properties["bsdf"] = _specular_bsdf(mi, *specular[start]) if specular[start].any() else bsdf
         if emission[start].any():
             properties["emitter"] = mi.load_dict(
                 {
@@ -76,9 +83,17 @@ def build(mi: Any, corners: FloatArray, reflectance: FloatArray, emission: Float
     return mi.load_dict(content)
 
 
-def run_starts(emission: FloatArray) -> list[int]:
-    """Return the first patch of each run of patches with the same emission (n, 3)."""
-    changes = np.flatnonzero((emission[1:] != emission[:-1]).any(axis=1)) + 1
+def _specular_bsdf(mi: Any, mirror: float, ior: float) -> Any:
+    if ior > 0.0:
+        return mi.load_dict({"type": "dielectric", "int_ior": ior, "ext_ior": 1.0})
+    reflected = {"type": "rgb", "value": [mirror] * 3}
+    return mi.load_dict({"type": "conductor", "material": "none", "specular_reflectance": reflected})
+
+
+def run_starts(emission: FloatArray, specular: FloatArray) -> list[int]:
+    """Return the first patch of each run of patches with the same emission (n, 3) and `specular_of` (n, 2)."""
+    both = np.hstack([emission, specular])
+    changes = np.flatnonzero((both[1:] != both[:-1]).any(axis=1)) + 1
     return [0, *changes.tolist()]
 
 

@@ -10,12 +10,14 @@ gallery furniture stands on floors that run on beneath it.
     parallel_plates   two squares; their form factor has a closed form
     two_rooms         two rooms and a door; all light of the second comes through the door
     colonnade         a hall with a double row of pillars, which throw shadows of two colours
+    mirror_and_glass  the Cornell box with a mirror for its back wall and a glass sphere
     gallery           rooms with pictures, plinths and benches under skylights, and a window
     theatre           a stage, stepped seats, a balcony, spotlights and ceiling lights; 50,000 triangles and more
 """
 
 from .gallery import gallery, gallery_view
 from .rooms import colonnade, cornell_box, cornell_box_view, furnace, parallel_plates, two_rooms
+from .specular import mirror_and_glass, mirror_and_glass_view
 from .theatre import theatre, theatre_view
 
 __all__ = [
@@ -25,6 +27,8 @@ __all__ = [
     "furnace",
     "gallery",
     "gallery_view",
+    "mirror_and_glass",
+    "mirror_and_glass_view",
     "parallel_plates",
     "theatre",
     "theatre_view",
