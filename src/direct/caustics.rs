@@ -28,6 +28,8 @@ use crate::visibility::{Hit, NO_PATCH, Ray, Segment};
 
 /// Of random numbers, apart from those of patches and lamps.
 const STREAM: u64 = u64::MAX;
+/// The number of the first turn for chance, one that no later turn has.
+const FIRST_TURN: u32 = u32::MAX;
 /// Rays that are followed together.
 const TOGETHER: u32 = 1024;
 
@@ -178,7 +180,7 @@ impl Caustics {
         for (k, (segment, hit)) in segments.iter().zip(&hits).enumerate() {
             let ray = Ray { origin: segment.end, direction: segment.start - segment.end, exclude: NO_PATCH };
             if !hidden[k]
-                && let Some(ray) = chosen(scene, &ray, hit)
+                && let Some(ray) = chosen(scene, &ray, hit, FIRST_TURN)
             {
                 of.push(started[k]);
                 rays.push(ray);

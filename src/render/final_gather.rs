@@ -70,8 +70,8 @@ const SAMPLES_AT_EDGES: u32 = 16;
 /// their number, as sampling errors do, down to a part of it: where all cells are the smallest, rays are spread too thin.
 const DETAIL: f64 = 0.6;
 const FINEST: f64 = 4.0;
-/// Rays where the cache has no point.
-const RAYS_ALONE: usize = 8;
+/// Rays from all samples of a pixel together where the cache has no point.
+const RAYS_ALONE: usize = 16;
 /// Pixels that are worked on together.
 const TOGETHER: usize = 256;
 const HALVES: usize = 2;
@@ -425,7 +425,7 @@ impl View<'_> {
             {
                 let number = u64::from(numbers.start) + (of[m] % each) as u64;
                 let seed = hash(stream ^ hash((pixels[pixel] as u64) << 32 | number));
-                self.gatherer.gather(&[*point], RAYS_ALONE, &[seed], &mut arriving);
+                self.gatherer.gather(&[*point], (RAYS_ALONE / each).max(1), &[seed], &mut arriving);
             }
             for (b, out) in radiance[pixel * bands..][..bands].iter_mut().enumerate() {
                 let e = scene.emission()[i + b];

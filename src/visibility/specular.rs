@@ -9,8 +9,8 @@
 //!   R = (r_s^2 + r_p^2) / 2,  r_s = (c - n c') / (c + n c'),  r_p = (n c - c') / (n c + c'),  n sin' = sin
 //!
 //! A ray does not split: it goes either way with the probability of that part, and ends at a mirror with the probability that the
-//! mirror absorbs it, so that whatever arrives counts in full (Kajiya 1986). Chance is a hash of the direction: the same ray
-//! always goes the same way.
+//! mirror absorbs it, so that whatever arrives counts in full (Kajiya 1986). Chance is a hash of the direction and of the number of
+//! turns before: the same ray always goes the same way, and one that comes back to where it was does not go round for ever.
 //!
 //! Limits. Glass is clear, and a closed body with nothing diffuse in it: radiance is n^2 times as high within, which cancels only
 //! where light leaves again. A ray that is still under way after [`MOST`] turns is taken to be absorbed.
@@ -80,7 +80,7 @@ pub fn follow(scene: &Scene, tree: &Bvh, rays: &[Ray]) -> Vec<End> {
                 Material::Diffuse => {
                     ends[k] = End::Arrived(Arrival { hit, distance });
                 }
-                _ => match chosen(scene, &ray, &hit) {
+                _ => match chosen(scene, &ray, &hit, turns) {
                     Some(ray) if turns < MOST => on.push((k, ray, distance)),
                     _ => ends[k] = End::Absorbed,
                 },
@@ -128,11 +128,12 @@ pub fn branches(scene: &Scene, ray: &Ray, hit: &Hit) -> [Option<Branch>; 2] {
     }
 }
 
-/// One of the ways on, by chance; none where the light is absorbed.
-pub fn chosen(scene: &Scene, ray: &Ray, hit: &Hit) -> Option<Ray> {
+/// One of the ways on after so many `turns`, by chance; none where the light is absorbed.
+pub fn chosen(scene: &Scene, ray: &Ray, hit: &Hit, turns: u32) -> Option<Ray> {
     let [x, y, z] = ray.direction.to_array().map(f64::to_bits);
     // 53 bits: uniform in [0, 1).
-    let mut left = (hash(x ^ hash(y ^ hash(z ^ u64::from(hit.patch)))) >> 11) as f64 / (1u64 << 53) as f64;
+    let mut left = (hash(x ^ hash(y ^ hash(z ^ (u64::from(turns) << 32 | u64::from(hit.patch))))) >> 11) as f64
+        / (1u64 << 53) as f64;
     for branch in branches(scene, ray, hit).into_iter().flatten() {
         if left < branch.part {
             return Some(branch.ray);

@@ -173,7 +173,7 @@ def test_everything_that_cannot_become_a_patch_is_named() -> None:
         {
             "type": "scene",
             "ball": {"type": "sphere"},
-            "pan": {"type": "rectangle", "bsdf": {"type": "conductor"}},
+            "pan": {"type": "rectangle", "bsdf": {"type": "conductor", "material": "Au"}},
             "bulb": {"type": "point", "position": [0.0, 0.0, 1.0]},
             "floor": {"type": "rectangle", "bsdf": {"type": "diffuse"}},
         }

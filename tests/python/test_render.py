@@ -1,12 +1,12 @@
 """Pictures: known radiance, orientation, shading, files."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import radiosity as rad
+from images import path_traced, relative_rmse
 from radiosity.render import auto_exposure, exposure_of, to_srgb
 
 
@@ -160,8 +160,7 @@ CORNELL_VIEW = rad.Camera(**rad.scenes.cornell_box_view())
 @pytest.fixture(scope="module")
 def traced():
     """Mitsuba's picture of the Cornell box, its standard error, and the pixels in which no lamp is seen."""
-    with np.load(Path(__file__).resolve().parents[1] / "data" / "images" / "cornell_128.npz") as data:
-        image, error = data["image"].astype(float), data["stderr"].astype(float)
+    image, error = path_traced("cornell")
     # The lamp has 17 W/(m^2 sr), the brightest wall 0.4; a pixel on its border may hold a little of either.
     lamp = image.max(axis=2) > 0.5
     return (
@@ -169,10 +168,6 @@ def traced():
         error,
         ~(lamp | np.roll(lamp, 1, 0) | np.roll(lamp, -1, 0) | np.roll(lamp, 1, 1) | np.roll(lamp, -1, 1)),
     )
-
-
-def relative_rmse(image, truth, pixels):
-    return np.sqrt(((image - truth)[pixels] ** 2).sum(axis=0) / (truth[pixels] ** 2).sum(axis=0)).max()
 
 
 @pytest.fixture(scope="module")

@@ -19,4 +19,5 @@ mod render;
 mod scene;
 mod shadow;
 mod solve;
+mod specular;
 mod visibility;

@@ -36,8 +36,9 @@ def mirror_and_glass(max_edge: float | None = None, facets: int = 3) -> Scene:
     is_mirror = names[kept] == "back wall"
     reflectance = np.where(is_mirror[:, None], 0.0, box.reflectance[kept])
     # A hair above the floor, in which the lowest corners would lie.
+    glass_at, white_at = np.array([0.19, 0.1001, 0.17]), np.array([0.38, 0.1001, 0.36])
     scene = Scene(
-        np.concatenate([box.vertices, corners + [[0.19, 0.1001, 0.17]], corners + [[0.38, 0.1001, 0.36]]]),
+        np.concatenate([box.vertices, corners + glass_at, corners + white_at]),
         np.concatenate([box.faces[kept], first + faces, first + count + faces]),
         reflectance=np.concatenate([reflectance, dark, dark + 0.7]),
         emission=np.concatenate([box.emission[kept], dark, dark]),
