@@ -1,8 +1,10 @@
-"""Draws the pictures of docs/viewing.md and docs/index.md: `python docs/pictures.py [name ...]`."""
+"""Draws the pictures of docs/viewing.md, docs/two_pass.md and docs/index.md: `python docs/pictures.py [name ...]`."""
 
 import sys
 from pathlib import Path
 from time import perf_counter
+
+import numpy as np
 
 import radiosity as rad
 from radiosity.render import to_srgb
@@ -41,6 +43,29 @@ def shadings() -> None:
     figure.savefig(FOLDER / "shadings.png", dpi=100)
 
 
+def two_pass() -> None:
+    """The room with mirror and glass, and Mitsuba's picture of it, which is 128 x 128."""
+    from matplotlib.figure import Figure
+
+    scene, camera = rad.scenes.mirror_and_glass(0.03), rad.Camera(**rad.scenes.mirror_and_glass_view())
+    solution = timed("mirror and glass, solve to 1 %", lambda: rad.solve(scene, 0.01, progress=False))
+    image = timed(
+        "mirror and glass, two-pass to 1.5 %",
+        lambda: rad.two_pass(solution, camera, 512, 512, tolerance=0.015, progress=False),
+    )
+    with np.load(FOLDER.parent / "tests" / "data" / "images" / "mirror_and_glass_128.npz") as data:
+        traced = data["image"]
+    figure = Figure(figsize=(10.0, 5.2), layout="constrained")
+    panels = figure.subplots(1, 2)
+    for panel, title, shown in zip(
+        panels, ("two passes", "path tracer, 49,152 paths a pixel"), (image, traced), strict=True
+    ):
+        panel.imshow(to_srgb(shown, 3.5), interpolation="nearest")
+        panel.set_title(title, fontsize=10)
+        panel.set_axis_off()
+    figure.savefig(FOLDER / "two_pass.png", dpi=100)
+
+
 def picture(name, solution, view, size, noise) -> None:
     def draw():
         return rad.render(solution, rad.Camera(**view), *size, "gather", tolerance=noise, progress=False)
@@ -57,6 +82,6 @@ def timed(what, work):
 
 
 if __name__ == "__main__":
-    drawings = {"theatre": theatre, "gallery": gallery, "shadings": shadings}
+    drawings = {"theatre": theatre, "gallery": gallery, "shadings": shadings, "two_pass": two_pass}
     for name in sys.argv[1:] or drawings:
         drawings[name]()

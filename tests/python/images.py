@@ -8,9 +8,9 @@ FOLDER = Path(__file__).resolve().parents[1] / "data" / "images"
 
 
 def path_traced(name):
-    """The picture and its standard error, 128 x 128."""
+    """The picture, its standard error, and the pixels to compare (see make_image_references.py), 128 x 128."""
     with np.load(FOLDER / f"{name}_128.npz") as data:
-        return data["image"].astype(float), data["stderr"].astype(float)
+        return data["image"].astype(float), data["stderr"].astype(float), data["beside"]
 
 
 def relative_rmse(image, truth, pixels):

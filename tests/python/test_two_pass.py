@@ -112,15 +112,19 @@ def test_objects_lit_by_way_of_glass_are_mitsubas():
         assert (np.abs(ours - theirs) < slack).all(), name
 
 
-def test_pictures_with_mirror_and_glass_are_mitsubas():
-    truth, noise = path_traced("mirror_and_glass")
+@pytest.mark.parametrize("tolerance", [0.05, 0.02])
+def test_pictures_with_mirror_and_glass_are_mitsubas(tolerance):
+    truth, standard_error, beside = path_traced("mirror_and_glass")
     solution = rad.solve(rad.scenes.mirror_and_glass(0.06), 0.01, **QUIET)
-    image = rad.two_pass(solution, VIEW, 128, 128, tolerance=0.01, **QUIET)
-    # Outside lamps, caustics and what shows them: where the path tracer itself is sure to 3 %.
-    sure = (noise < 0.03 * truth).all(axis=2) & (truth.max(axis=2) < 0.5)
-    assert sure.mean() > 0.75
-    # 1 % of sampling here, 1 % of the solution, 1 to 2 % of the reference, and edges of facets in the glass.
-    assert relative_rmse(image, truth, sure) < 0.03
+    image = rad.two_pass(solution, VIEW, 128, 128, tolerance=tolerance, **QUIET)
+    # Single pixels that a rare bright path has struck tell nothing: 3 % of them.
+    beside = beside & (standard_error < 0.05 * truth).all(axis=2)
+    assert beside.mean() > 0.6
+    noise = np.sqrt((standard_error[beside] ** 2).sum(axis=0) / (truth[beside] ** 2).sum(axis=0)).max()
+    # Sampling as asked, the path tracer's noise (1.8 %, mostly on the ceiling), and 1 % of the solution.
+    assert relative_rmse(image, truth, beside) <= np.hypot(np.hypot(tolerance, noise), 0.01)
+    # No bias: means over 10,000 pixels have next to no noise. Measured 0.1 %.
+    np.testing.assert_allclose(image[beside].mean(axis=0), truth[beside].mean(axis=0), rtol=0.005)
 
 
 def test_where_nothing_is_a_mirror_there_is_no_second_pass():
