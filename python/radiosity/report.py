@@ -63,6 +63,8 @@ class Report:
         duplicate_patches: the patches that repeat the corners and the orientation of an earlier one.
         coincident_pairs: (k, 2), pairs of patches with the same corners that face away from each other.
         dense_bytes: memory of the dense form factors, as `radiosity.form_factors` stores them.
+        mirrors: number of patches that are mirrors.
+        glass: number of patches that are glass.
         hints: what should be looked at, in words.
 
     """
@@ -87,6 +89,8 @@ class Report:
     duplicate_patches: IntArray
     coincident_pairs: IntArray
     dense_bytes: int
+    mirrors: int
+    glass: int
     hints: tuple[str, ...]
 
     def __str__(self) -> str:
@@ -114,6 +118,8 @@ class Report:
             ("coincident pairs", _count(len(self.coincident_pairs))),
             ("dense form factors", _bytes(self.dense_bytes)),
         ]
+        if self.mirrors or self.glass:
+            rows.insert(4, ("mirrors, glass", f"{self.mirrors:,} and {self.glass:,} patches"))
         title = f"Scene of {self.n_patches:,} patches in {self.bands} band{'s' if self.bands != 1 else ''}"
         if self.objects:
             title += f", {self.objects:,} object{'s' if self.objects != 1 else ''}"
@@ -182,6 +188,8 @@ def report(scene: Scene) -> Report:
         duplicate_patches=duplicates,
         coincident_pairs=pairs,
         dense_bytes=_core.FormFactors.dense_forecast(scene.n_patches),
+        mirrors=int(np.count_nonzero(scene.mirror)),
+        glass=int(np.count_nonzero(scene.ior > 0.0)),
         hints=(),
     )
     return replace(found, hints=tuple(_hints(scene, found)))
@@ -205,6 +213,13 @@ def _hints(scene: Scene, found: Report) -> list[str]:
     perfect = np.flatnonzero((scene.reflectance == 1.0).any(axis=1))
     if len(perfect):
         hints.append(f"reflecting all light (reflectance 1), as no real surface does: {who(perfect)}")
+    glass = np.flatnonzero(scene.ior > 0.0)
+    if len(glass):
+        corners = scene.vertices[scene.faces[glass]]
+        a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+        closed = _edges(_position_index(scene.vertices)[scene.faces[glass]], scene.areas[glass]).closed
+        if not closed or np.einsum("ij,ij->", a, np.cross(b, c)) <= 0.0:
+            hints.append(f"glass that is no closed body with its front outside: {who(glass)}; light in it goes astray")
     if not any(found.emitted_power):
         hints.append("no patch emits: the solution is zero everywhere")
     return hints

@@ -115,10 +115,10 @@ pub fn gather(
     let lamps = Lamps::of_scene(scene)?;
     let blockers = Bvh::of_blockers(scene);
     let sight = Sight::new(scene);
-    let gatherer = Gatherer { scene, tree, lamps: &lamps, irradiance, sight: &sight };
+    let surroundings = Surroundings { scene, lamps: &lamps, tree, blockers: &blockers };
+    let gatherer = Gatherer { surroundings, irradiance, sight: &sight };
     let mut view = View {
         gatherer,
-        blockers: &blockers,
         camera,
         width,
         height,
@@ -177,7 +177,6 @@ fn spread(sums: &[Vec<f64>; HALVES], emits: &[bool], bands: usize) -> f64 {
 /// What is looked at.
 struct View<'a> {
     gatherer: Gatherer<'a>,
-    blockers: &'a Bvh,
     camera: &'a Camera,
     width: usize,
     height: usize,
@@ -214,7 +213,7 @@ impl View<'_> {
 
     /// How much of lamp l a tile sees, as far as is known.
     fn known(&self, tile: usize, l: usize) -> f64 {
-        let at = 2 * (tile * self.gatherer.lamps.lamps.len() + l);
+        let at = 2 * (tile * self.gatherer.surroundings.lamps.lamps.len() + l);
         if self.seen[at + 1] > 0.0 { self.seen[at] / self.seen[at + 1] } else { 1.0 }
     }
 
@@ -226,7 +225,7 @@ impl View<'_> {
 
     /// Looks first of all which lamps the tiles see, and where samples disagree.
     fn glance(&mut self, progress: &Progress) -> Result<()> {
-        let mut pixels = vec![0.0; self.disagree.len() * self.gatherer.scene.bands()];
+        let mut pixels = vec![0.0; self.disagree.len() * self.gatherer.surroundings.scene.bands()];
         let mut found = vec![Found::default(); self.disagree.len()];
         let stream = hash(self.seed ^ hash(2 * HALVES as u64));
         let width = self.width;
@@ -238,18 +237,17 @@ impl View<'_> {
 
     /// Follows more rays from the lamps.
     fn add_caustics(&mut self, passes: usize, progress: &Progress) -> Result<()> {
-        let Gatherer { scene, tree, lamps, .. } = self.gatherer;
+        let surroundings = self.gatherer.surroundings;
         let Some(caustics) = &mut self.caustics else { return Ok(()) };
-        let wanted = CAUSTIC_RAYS.saturating_mul((passes as u64 + 1) * scene.len() as u64);
+        let wanted = CAUSTIC_RAYS.saturating_mul((passes as u64 + 1) * surroundings.scene.len() as u64);
         let wanted = u32::try_from(wanted).unwrap_or(u32::MAX);
-        let surroundings = Surroundings { scene, lamps, tree, blockers: self.blockers };
         caustics.sample(&surroundings, wanted, self.seed, progress)
     }
 
     /// Caustics at the corners of patches as one half of the scrambles has them.
     fn caustics_of(&self, half: usize) -> Vec<f64> {
         let Some(caustics) = &self.caustics else { return Vec::new() };
-        let scene = self.gatherer.scene;
+        let scene = self.gatherer.surroundings.scene;
         let mut irradiance = vec![0.0; scene.emission().len()];
         let own = SCRAMBLES / HALVES;
         for (i, out) in irradiance.chunks_exact_mut(scene.bands()).enumerate() {
@@ -303,7 +301,7 @@ impl View<'_> {
         found: &mut [Found],
         progress: &Progress,
     ) -> Result<Vec<f64>> {
-        let (width, bands) = (self.width, self.gatherer.scene.bands());
+        let (width, bands) = (self.width, self.gatherer.surroundings.scene.bands());
         let per_row = self.seen.len() / self.height.div_ceil(TILE);
         let of_tiles = |(band, (rows, found)): (usize, (&mut [f64], &mut [Found]))| -> Result<Vec<f64>> {
             progress.advance(0)?;
@@ -337,7 +335,8 @@ impl View<'_> {
         offset: usize,
         seen: &mut [f64],
     ) -> (Vec<f64>, Vec<Found>) {
-        let Gatherer { scene, tree, lamps, sight, .. } = self.gatherer;
+        let Gatherer { surroundings, sight, .. } = self.gatherer;
+        let Surroundings { scene, lamps, tree, blockers } = surroundings;
         let (bands, each) = (scene.bands(), numbers.len());
         // Rays through the pixels, and what they meet.
         let sample = |&pixel: &usize| {
@@ -377,14 +376,14 @@ impl View<'_> {
         let tile = |m: usize| self.tile(pixels[of[m] / each]);
         // E_l w / p_l (V - c_l), one a point.
         let mut corrections: Vec<Option<(usize, f64)>> = vec![None; points.len()];
-        let free = lamps.is_free(self.blockers);
+        let free = lamps.is_free(blockers);
         if !free {
             let interest = |m: usize, l: usize| {
                 let c = self.known(tile(m), l);
                 (c * (1.0 - c)).sqrt() + WATCH
             };
             let (asked, segments) = lamps.ask(&points, &factors, interest, |m| [samples[of[m]][2], samples[of[m]][3]]);
-            let hidden = lamps.hidden(self.blockers, |k| asked[k].lamp, &segments);
+            let hidden = lamps.hidden(blockers, |k| asked[k].lamp, &segments);
             for (Asked { point, lamp, weight }, blocked) in asked.into_iter().zip(hidden) {
                 let visible = if blocked { 0.0 } else { 1.0 };
                 let at = 2 * (tile(point) * count + lamp) - offset;

@@ -9,15 +9,14 @@ use rayon::prelude::*;
 
 use super::Camera;
 use super::sight::Sight;
-use crate::direct::Lamps;
+use crate::direct::Surroundings;
 use crate::direct::lamp::Point;
 use crate::error::Result;
 use crate::form_factor::emitter::Emitter;
 use crate::geometry::sampling::{Sobol, cosine_direction, hash};
 use crate::progress::Progress;
-use crate::scene::Scene;
 use crate::visibility::specular::follow;
-use crate::visibility::{Bvh, NO_PATCH, Ray};
+use crate::visibility::{NO_PATCH, Ray};
 
 /// Pixels between the points where nothing changes.
 const SPACING: usize = 8;
@@ -31,10 +30,7 @@ const TOGETHER: usize = 16;
 
 /// What light is gathered from.
 pub(super) struct Gatherer<'a> {
-    pub(super) scene: &'a Scene,
-    /// All patches.
-    pub(super) tree: &'a Bvh,
-    pub(super) lamps: &'a Lamps,
+    pub(super) surroundings: Surroundings<'a>,
     /// H of every patch, n x b.
     pub(super) irradiance: &'a [f64],
     /// What the camera sees of them.
@@ -45,9 +41,10 @@ impl Gatherer<'_> {
     /// Irradiance at a point but for what comes straight from the lamps, added up in `out` over rays that carry rho H + E of what
     /// they meet:  H = mean of B over directions of density cos / pi. Returns 1/R, the mean of 1/distance.
     pub(super) fn gather(&self, points: &[Point], rays: usize, seeds: &[u64], out: &mut [f64]) -> Vec<f64> {
-        let (scene, bands) = (self.scene, self.scene.bands());
+        let Surroundings { scene, tree, lamps, .. } = self.surroundings;
+        let bands = scene.bands();
         let from = |(point, seed): (&Point, &u64)| {
-            let emitter = Emitter::new(scene, self.tree, point.patch as usize);
+            let emitter = Emitter::new(scene, tree, point.patch as usize);
             let (sobol, origin): (Sobol<2>, _) = (Sobol::new(*seed), point.x);
             (0..rays as u32).map(move |k| {
                 let [s, t] = sobol.point(k);
@@ -57,14 +54,14 @@ impl Gatherer<'_> {
         let all: Vec<Ray> = points.iter().zip(seeds).flat_map(from).collect();
         let share = 1.0 / rays as f64;
         let (mut near, mut leaving) = (vec![0.0; points.len()], vec![0.0; bands]);
-        for (k, end) in follow(scene, self.tree, &all).into_iter().enumerate() {
+        for (k, end) in follow(scene, tree, &all).into_iter().enumerate() {
             let Some(arrival) = end.arrival() else { continue };
             near[k / rays] += share / arrival.distance;
             let j = arrival.hit.patch as usize;
             let own = j * bands..(j + 1) * bands;
             let reflected = scene.reflectance()[own.clone()].iter().zip(&self.irradiance[own]).map(|(rho, h)| rho * h);
             leaving.iter_mut().zip(reflected).for_each(|(leaving, reflected)| *leaving = reflected);
-            self.lamps.add_glow(j, &mut leaving);
+            lamps.add_glow(j, &mut leaving);
             let out = out[k / rays * bands..][..bands].iter_mut();
             out.zip(&leaving).for_each(|(out, leaving)| *out += share * leaving);
         }
@@ -112,7 +109,7 @@ impl IrradianceCache {
         let offset = Sobol::<2>::new(seed).point(0).map(|u| u * SPACING as f64);
         let [columns, rows] = [width, height].map(|size| size.div_ceil(SPACING) * SPACING + SPACING + 1);
         let mut cache = IrradianceCache {
-            bands: gatherer.scene.bands(),
+            bands: gatherer.surroundings.scene.bands(),
             offset,
             columns,
             index: vec![UNKNOWN; columns * rows],
@@ -165,7 +162,7 @@ impl IrradianceCache {
                 Ray { origin: camera.origin(), direction: camera.direction(x, y, width, height), exclude: NO_PATCH }
             };
             let rays_there: Vec<Ray> = at.iter().map(ray).collect();
-            let mut shown = gatherer.sight.look(gatherer.tree, &rays_there);
+            let mut shown = gatherer.sight.look(gatherer.surroundings.tree, &rays_there);
             shown.dedup_by_key(|shown| shown.ray);
             let (met, points): (Vec<usize>, Vec<Point>) =
                 shown.iter().map(|shown| (at[shown.ray], shown.point)).unzip();

@@ -195,6 +195,8 @@ def test_a_large_shuffled_sheet() -> None:
         areas=np.full(n, 0.5),
         reflectance=np.full((n, 1), 0.5),
         emission=np.ones((n, 1)),
+        mirror=np.zeros(n),
+        ior=np.full(n, np.nan),
         n_patches=n,
         bands=1,
         names=None,
@@ -202,3 +204,21 @@ def test_a_large_shuffled_sheet() -> None:
     found = report(scene)  # type: ignore[arg-type]
     np.testing.assert_array_equal(found.flipped_patches, np.flatnonzero(wrong))
     assert found.boundary_edges == 4 * side
+
+
+def test_mirrors_and_glass_are_counted_and_open_glass_is_told():
+    scene = rad.scenes.mirror_and_glass(facets=1)
+    report = scene.report()
+    assert (report.mirrors, report.glass) == (2, 80)
+    assert "mirrors, glass      2 and 80 patches" in str(report)
+    assert not any("glass" in hint for hint in report.hints)
+    parts = {"mirror": scene.mirror, "ior": scene.ior, "reflectance": scene.reflectance, "emission": scene.emission}
+    last = np.flatnonzero(scene.ior > 0.0)[-1]
+    holed = rad.Scene(
+        scene.vertices,
+        np.delete(scene.faces, last, axis=0),
+        **{name: np.delete(values, last, axis=0) for name, values in parts.items()},
+    )
+    reversed_faces = np.where((scene.ior > 0.0)[:, None], scene.faces[:, ::-1], scene.faces)
+    for wrong in (holed, rad.Scene(scene.vertices, reversed_faces, **parts)):
+        assert any("no closed body with its front outside" in hint for hint in wrong.report().hints)
