@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from . import _core
 from .arrays import FloatArray, IntArray, read_only, real_number, seed_number, thread_count, whole_number
 from .memory import available_bytes
@@ -103,10 +101,9 @@ def virtual_lights(
         raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}")
     count = whole_number("lights", count, 1, 2**32 - 1)
     with reporter(progress, "lights") as report:
-        *arrays, particles, left_out, bound = _core.virtual_lights(
+        positions, flux, patch, bounce, sample, particles, left_out, bound = _core.virtual_lights(
             scene._core, count, seed_number(seed), available_bytes(), thread_count(threads), report
         )
-    positions, flux, patch, bounce, sample = arrays
     return VirtualLights(
         scene,
         read_only(positions),
@@ -186,13 +183,15 @@ def instant(
         lights = virtual_lights(scene, lights, seed, threads, progress)
     elif lights.scene is not scene:
         raise ValueError("these lights are of another scene: make them anew with virtual_lights(scene)")
-    size = (width, height)
-    rays = shadows == "rays"
-    image, _, bounds = _instant(scene, lights, camera, size, bound, compensate, rays, seed, threads, progress)
-    if not rays:
-        from .shadow_maps import add_light
+    maps = None
+    if shadows == "maps":
+        from .shadow_maps import ShadowMaps
 
-        add_light(image, lights, bounds, camera, resolution, seed, threads, progress)
+        maps = ShadowMaps(lights, (height, width, scene.bands), resolution)
+    size, lit = (width, height), maps is None
+    image, _, bounds = _instant(scene, lights, camera, size, bound, compensate, lit, seed, threads, progress)
+    if maps is not None:
+        maps.add_light(image, bounds, camera, seed, threads, progress)
     return image
 
 

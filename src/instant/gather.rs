@@ -171,10 +171,11 @@ pub fn gather(
             Ok(tile)
         })
         .collect();
+    let done = done?;
     view.sight.check(camera)?;
     let mut picture = Picture { pixels: vec![0.0; width * height * bands], compensated: 0.0, bounds };
     let (mut straight, mut by_paths) = (0.0, 0.0);
-    for tile in done? {
+    for tile in done {
         straight += tile.straight;
         by_paths += tile.by_paths;
         for (&pixel, radiance) in tile.pixels.iter().zip(tile.radiance.chunks_exact(bands)) {

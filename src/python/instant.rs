@@ -25,6 +25,11 @@ type LightArrays<'py> = (
     f64,
 );
 
+/// A picture, the share of its light that paths have found, and the bound of every light.
+type Pictured<'py> = (Bound<'py, PyArray3<f64>>, f64, Bound<'py, PyArray1<f64>>);
+/// Positions and patches of what is seen.
+type Seen<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>);
+
 #[pyfunction]
 #[pyo3(signature = (scene, count, seed, memory, threads, progress))]
 pub(super) fn virtual_lights<'py>(
@@ -76,7 +81,7 @@ pub(super) fn instant<'py>(
     memory: u64,
     threads: Option<usize>,
     progress: Option<Bound<'py, PyAny>>,
-) -> PyResult<(Bound<'py, PyArray3<f64>>, f64, Bound<'py, PyArray1<f64>>)> {
+) -> PyResult<Pictured<'py>> {
     let camera = camera(viewpoint)?;
     let options = InstantOptions { width, height, bound, compensate, lit, seed, memory };
     let (tree, scene) = (scene.tree(py)?, Arc::clone(&scene.scene));
@@ -114,7 +119,7 @@ pub(super) fn places<'py>(
     seed: u64,
     memory: u64,
     threads: Option<usize>,
-) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>)> {
+) -> PyResult<Seen<'py>> {
     let camera = camera(viewpoint)?;
     let options = InstantOptions { width, height, bound: 1.0, compensate: false, lit: false, seed, memory };
     let (tree, scene) = (scene.tree(py)?, Arc::clone(&scene.scene));
