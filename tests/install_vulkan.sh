@@ -1,6 +1,6 @@
 #!/bin/sh
-# Installs Vulkan in software, on which shadow maps are tested where there is no GPU. Nothing fails without it: those tests are
-# skipped and say so. Always exits 0.
+# Installs Vulkan in software, on which shadow maps are tested where there is no GPU. Nothing fails without it: those
+# tests are skipped and say so. Always exits 0.
 
 for driver in /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json /usr/local/share/vulkan/icd.d/*.json; do
     [ -e "$driver" ] && exit 0

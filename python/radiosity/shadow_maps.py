@@ -223,7 +223,8 @@ def _device() -> tuple[Any, tuple[Any, Any]]:
     try:
         import wgpu
     except ImportError as error:
-        raise ImportError('shadows="maps" needs the package wgpu: pip install radiosity[gpu]') from error
+        needed = "pip install radiosity[gpu], with Python 3.11 or later"
+        raise ImportError(f'shadows="maps" needs the package wgpu: {needed}') from error
     try:
         adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
         if adapter.info["backend_type"] == "OpenGL":

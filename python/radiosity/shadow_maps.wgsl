@@ -1,8 +1,8 @@
 // A hemicube of depths a light, and the light that it lets through.
 //
-// Coordinates are normalised: the scene is a box of size 2 around the origin. A light at y with normal n sees five faces, one
-// along n and four halves around it. Depths are NEAR / w, w being the distance along the axis of the face: linear on the
-// screen, so that triangles of any size are exact, and the greatest is the nearest.
+// Coordinates are normalised: the scene is a box of size 2 around the origin. A light at y with normal n sees five
+// faces, one along n and four halves around it. Depths are NEAR / w, w being the distance along the axis of the face:
+// linear on the screen, so that triangles of any size are exact, and the greatest is the nearest.
 
 struct Light {
     // Position; the bound of its geometry term.
@@ -96,8 +96,8 @@ fn is_lit(light: Light, layer: u32, place: Place) -> bool {
     let axes = transpose(frame(light, face));
     let normal = axes * place.normal.xyz;
     var at = axes * away;
-    // A texel holds the depth of its middle, half a texel away at most, each way: where a plane with this normal is nearer there,
-    // it is so by less than if the point lay so much above it.
+    // A texel holds the depth of its middle, half a texel away at most, each way: where a plane with this normal is
+    // nearer there, it is so by less than if the point lay so much above it.
     let resolution = f32(batch.resolution);
     at += REACH * at.z / resolution * (abs(normal.x) + abs(normal.y)) * normal;
     if at.z <= NEAR {

@@ -1,16 +1,19 @@
-//! The picture of virtual point lights: what each sends to every pixel, bounded, and what the bound cuts, by short paths.
+//! The picture of virtual point lights: what each sends to every pixel, bounded, and what the bound cuts, by short
+//! paths.
 //!
-//! A pixel has [`SAMPLES`] places s, and every place gets the light of one part of the lights, M_s, so that a light counts once
-//! and edges are smooth. A path x_0 (seen), x_1, ... of throughput T_0 = 1 / pi, T_(d+1) = T_d rho(x_d) adds, at each of its points,
+//! A pixel has [`SAMPLES`] places s, and every place gets the light of one part of the lights, M_s, so that a light
+//! counts once and edges are smooth. A path x_0 (seen), x_1, ... of throughput T_0 = 1 / pi, T_(d+1) = T_d rho(x_d)
+//! adds, at each of its points,
 //!
 //!   T_d ( E / SAMPLES + rho sum over k in M_(s+d) of Phi_k / pi min(G, c) V )
 //!
-//! From x_d it goes on along a ray of density cos / pi with probability max(0, 1 - c / G) (Kollig & Keller 2004, there a weight):
-//! so the mean of all is the light that an unbounded G gives, whatever c is, and a path ends where it meets nothing nearer
-//! than 1 / sqrt(c).
+//! From x_d it goes on along a ray of density cos / pi with probability max(0, 1 - c / G) (Kollig & Keller 2004,
+//! there a weight): so the mean of all is the light that an unbounded G gives, whatever c is, and a path ends where
+//! it meets nothing nearer than 1 / sqrt(c).
 //!
-//! Lights on an emitter stand close together, so that theirs is a bound of its own, c_E >= c ([`bounds`]): where a path has met
-//! an emitter after x_0, E counts by max(0, 1 - c_E / G) / (1 - c / G). Paths would seldom meet a small lamp, and then too much of it.
+//! Lights on an emitter stand close together, so that theirs is a bound of its own, c_E >= c ([`bounds`]): where a
+//! path has met an emitter after x_0, E counts by max(0, 1 - c_E / G) / (1 - c / G). Paths would seldom meet a small
+//! lamp, and then too much of it.
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
@@ -66,22 +69,24 @@ pub struct Picture {
     pub bounds: Vec<f64>,
 }
 
-/// The bound c, 1/m^2, that pictures of a scene of area A take: BOUND / A. Paths then start nearer than 0.3 sqrt(A) to something.
+/// The bound c, 1/m^2, that pictures of a scene of area A take: BOUND / A. Paths then go on nearer than 0.22 sqrt(A)
+/// to something.
 ///
-/// A larger one leaves brighter spots around the lights, a smaller one more noise of paths, and that does not depend on how many lights
-/// there are: on the Cornell box 12 to 25 is best for 64, 256 and 1024 of them (benches/instant.py).
+/// A larger one leaves brighter spots around the lights, a smaller one more noise of paths, and that does not depend
+/// on how many lights there are: on the Cornell box 6 to 25 is best for 64 to 1024 of them, where pixels are averaged
+/// (benches/instant.py).
 pub fn default_bound(scene: &Scene) -> f64 {
     BOUND / scene.areas().iter().sum::<f64>()
 }
 
-const BOUND: f64 = 12.0;
+const BOUND: f64 = 20.0;
 /// The largest part of the emission E of a lamp that one of the lights on it gives as irradiance.
 const BRIGHTEST: f64 = 0.25;
 
 /// The bound of every light: c, but for those on emitters.
 ///
-/// These have a power Phi each, so that one of them stands for an area Phi / E; with c_E = BRIGHTEST pi E / Phi it gives a point no
-/// more than BRIGHTEST E.
+/// These have a power Phi each, so that one of them stands for an area Phi / E; with c_E = BRIGHTEST pi E / Phi it
+/// gives a point no more than BRIGHTEST E.
 pub fn bounds(scene: &Scene, lights: &Lights, bound: f64) -> Vec<f64> {
     let power = lights.flux[..scene.bands().min(lights.flux.len())].iter().sum();
     let of_light = |(point, &bounce): (&Point, &u32)| {
@@ -96,8 +101,8 @@ fn emitter_bound(scene: &Scene, patch: u32, power: f64, bound: f64) -> f64 {
     bound.max(BRIGHTEST * PI * emission.iter().sum::<f64>() / power)
 }
 
-/// For every light the place in the pixels that it shines on. Particles that follow each other are spread evenly, so those of one
-/// bounce are dealt in runs; every bounce begins at another place.
+/// For every light the place in the pixels that it shines on. Particles that follow each other are spread evenly, so
+/// those of one bounce are dealt in runs; every bounce begins at another place.
 pub fn sample_of(bounce: &[u32]) -> Vec<usize> {
     let runs = bounce.chunk_by(|a, b| a == b);
     runs.flat_map(|run| (0..run.len()).map(move |k| (k * SAMPLES / run.len() + run[0] as usize) % SAMPLES)).collect()
@@ -106,7 +111,7 @@ pub fn sample_of(bounce: &[u32]) -> Vec<usize> {
 /// What is seen at one place of every pixel: what a G-buffer holds.
 ///
 /// # Errors
-/// Those of [`gather`].
+/// Those of [`gather()`].
 pub fn places(
     scene: &Scene,
     tree: &Bvh,
@@ -130,9 +135,8 @@ pub fn places(
 
 /// The picture of `lights` in their scene, whose `tree` must hold all patches. The same bits for any number of threads.
 ///
-/// # Errors
-/// [`Error::Invalid`] for lights of another scene, an empty picture, a bound that is not positive, or a camera that sees nothing
-/// or only backs; [`Error::Memory`]; [`Error::Interrupted`].
+/// # Errors [`Error::Invalid`] for lights of another scene, an empty picture, a bound that is not positive, or a
+/// camera that sees nothing or only backs; [`Error::Memory`]; [`Error::Interrupted`].
 pub fn gather(
     scene: &Scene,
     tree: &Bvh,
@@ -347,7 +351,8 @@ impl Shown<'_> {
         sent.iter().zip(view.tree.closest(&rays)).filter_map(goes_on).collect()
     }
 
-    /// What a part of the lights sends to each point, bounded, one row of bands a point; the points in the order of their patches.
+    /// What a part of the lights sends to each point, bounded, one row of bands a point; the points in the order of
+    /// their patches.
     fn irradiance(&self, walkers: &[Walker], part: &[usize]) -> Vec<f64> {
         let bands = self.view.scene.bands();
         let mut out = vec![0.0; walkers.len() * bands];

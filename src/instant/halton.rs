@@ -2,9 +2,9 @@
 //!
 //!   x = sum over m of p_m(digit m of i) b^-(m+1)
 //!
-//! with permutations p_m(a) = (a s_m + t_m) mod b of the digits, chosen by chance from the seed and the digits before (Halton 1960;
-//! Matousek 1998, linear scrambling; nested as in Owen 1995). Without, the first points in a large base lie in a row; with
-//! it each point is uniform, so that means are unbiased, and the points are as even as before.
+//! with permutations p_m(a) = (a s_m + t_m) mod b of the digits, chosen by chance from the seed and the digits before
+//! (Halton 1960; Matousek 1998, linear scrambling; nested as in Owen 1995). Without, the first points in a large base
+//! lie in a row; with it each point is uniform, so that means are unbiased, and the points are as even as before.
 
 use crate::geometry::sampling::hash;
 

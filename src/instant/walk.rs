@@ -5,8 +5,8 @@
 //!
 //!   Phi = Phi_emitted(y_0) rho(y_1) ... rho(y_j) / floor(q^j K)
 //!
-//! All lights are about equally strong since both the product and the number fall by q. Every bounce is estimated without bias
-//! from its own number of particles; what comes after the last, about q^(j + 1) of all, is left out.
+//! All lights are about equally strong since both the product and the number fall by q. Every bounce is estimated
+//! without bias from its own number of particles; what comes after the last, about q^(j + 1) of all, is left out.
 
 use rayon::prelude::*;
 
@@ -30,8 +30,8 @@ pub struct Lights {
     pub bounce: Vec<u32>,
     /// K, the particles that started.
     pub particles: usize,
-    /// The share of all light that further bounces would have: q^(j + 1), exact in a closed room of one reflectance and more
-    /// than there is in an open one.
+    /// The share of all light that further bounces would have: q^(j + 1), exact in a closed room of one reflectance
+    /// and more than there is in an open one.
     pub left_out: f64,
 }
 

@@ -13,7 +13,8 @@ use crate::direct::lamp::Point;
 use crate::geometry::Vec3;
 use crate::instant::{self as core, InstantOptions, Lights, SAMPLES, default_bound, sample_of};
 
-/// Positions, flux, patch, bounce, the place in the pixels that each shines on; particles, the share that is left out, and the bound.
+/// Positions, flux, patch, bounce, the place in the pixels that each shines on; particles, the share that is left
+/// out, and the bound.
 type LightArrays<'py> = (
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray2<f64>>,
@@ -63,7 +64,10 @@ pub(super) fn virtual_lights<'py>(
 /// Returns the picture, the share of its reflected light that paths have found, and the bound of every light.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
-#[pyo3(signature = (scene, positions, flux, patch, bounce, viewpoint, width, height, bound, compensate, lit, seed, memory, threads, progress))]
+#[pyo3(signature = (
+    scene, positions, flux, patch, bounce, viewpoint, width, height, bound, compensate, lit, seed, memory, threads,
+    progress
+))]
 pub(super) fn instant<'py>(
     py: Python<'py>,
     scene: &Scene,

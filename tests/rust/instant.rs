@@ -114,8 +114,8 @@ fn a_furnace_is_as_bright_everywhere() {
         for b in 0..2 {
             let exact = 2.0 * (1.0 + b as f64) / PI;
             let band: Vec<f64> = pixels.iter().skip(b).step_by(2).copied().collect();
-            // Bounces beyond the ninth are left out: 1/1024 of all. 384 pixels of 16 paths, the worst of them half of their
-            // light by paths: 0.3 %; 1024 lights of a quasi-random sequence: half a per cent.
+            // Bounces beyond the ninth are left out: 1/1024 of all. 384 pixels of 16 paths, the worst of them half of
+            // their light by paths: 0.3 %; 1024 lights of a quasi-random sequence: half a per cent.
             assert_close(mean(&band), exact, 0.01 * exact);
         }
     }
@@ -123,13 +123,15 @@ fn a_furnace_is_as_bright_everywhere() {
 
 #[test]
 fn light_straight_from_a_lamp_is_its_closed_form() {
-    // A black floor would show nothing: rho = 0.5 of what a square lamp of side 1 at height 1/2 sends to the point below its
-    // middle, 4 quarters of F = 1 / (2 pi) (2 a / sqrt(1 + a^2) atan(a / sqrt(1 + a^2))) with a = 1 (Howell, B-4).
+    // A black floor would show nothing: rho = 0.5 of what a square lamp of side 1 at height 1/2 sends to the point
+    // below its middle, 4 quarters of F = 1 / (2 pi) (2 a / sqrt(1 + a^2) atan(a / sqrt(1 + a^2))) with a = 1
+    // (Howell, B-4).
     let floor = plate(vec3(-1.0, -1.0, 0.0), 2.0 * Vec3::X, 2.0 * Vec3::Y, 1);
     let mesh = floor.and(&plate(vec3(-0.5, -0.5, 0.5), Vec3::Y, Vec3::X, 1));
     let scene =
         mesh.scene_with(1, Sides::Front, |i, _| if i < 2 { 0.5 } else { 0.0 }, |i, _| if i < 2 { 0.0 } else { 1.0 });
-    // From below the lamp, at the point beneath its middle, through a lens so long that nothing changes across the picture.
+    // From below the lamp, at the point beneath its middle, through a lens so long that nothing changes across the
+    // picture.
     let camera = Camera::new(vec3(0.0, 0.0, 0.25), Vec3::ZERO, Vec3::Y, 0.01).unwrap();
     let root = 2f64.sqrt();
     let form_factor = 4.0 / (2.0 * PI) * 2.0 / root * (1.0 / root).atan();
@@ -143,15 +145,16 @@ fn light_straight_from_a_lamp_is_its_closed_form() {
         (0..16).map(of_seed).sum::<f64>().sqrt() / 4.0
     };
     let (few, many) = (error(64), error(1024));
-    // Random lights would be off by 0.5 / sqrt(64) = 6 %, and 4 times less for 16 times as many; the sequence does better than that,
-    // both times by a factor of 2 at least.
+    // Random lights would be off by 0.5 / sqrt(64) = 6 %, and 4 times less for 16 times as many; the sequence does
+    // better than that, both times by a factor of 2 at least.
     assert!(few < 0.03, "{few}");
     assert!(many < few / 4.0, "{few} {many}");
 }
 
 #[test]
 fn what_the_bound_cuts_comes_back_by_paths() {
-    // In a room with a box, whose picture has corners and shadows; the same lights, so that nothing but the bound differs.
+    // In a room with a box, whose picture has corners and shadows; the same lights, so that nothing but the bound
+    // differs.
     let scene =
         box_in_box(1).scene_with(1, Sides::Front, |i, _| 0.3 + 0.03 * (i % 7) as f64, |i, _| f64::from(i == 0) * 3.0);
     let camera = Camera::new(vec3(0.05, 0.1, 0.07), vec3(0.5, 0.45, 0.3), Vec3::Z, 50.0).unwrap();
