@@ -82,7 +82,7 @@ def draw(name, panels) -> None:
         axes.imshow(image, cmap="gray", vmin=0, vmax=255)
         axes.set_title(title, fontsize=10)
         axes.set_axis_off()
-    figure.savefig(FOLDER / name, dpi=100)
+    figure.savefig(FOLDER / name, dpi=80)
 
 
 if __name__ == "__main__":

@@ -72,9 +72,9 @@ pub struct Picture {
 /// The bound c, 1/m^2, that pictures of a scene of area A take: BOUND / A. Paths then go on nearer than 0.22 sqrt(A)
 /// to something.
 ///
-/// A larger one leaves brighter spots around the lights, a smaller one more noise of paths, and that does not depend
-/// on how many lights there are: on the Cornell box 6 to 25 is best for 64 to 1024 of them, where pixels are averaged
-/// (benches/instant.py).
+/// A larger one leaves brighter spots around the lights, a smaller one more grain of paths, and more of them. Measured on
+/// the Cornell box (benches/instant.py): pixels averaged over 4 x 4 are the better the smaller the bound is, down to a
+/// fourth of this one, but single ones look grainy; for any number of lights.
 pub fn default_bound(scene: &Scene) -> f64 {
     BOUND / scene.areas().iter().sum::<f64>()
 }
