@@ -51,7 +51,7 @@ viewer:
 	cp target/viewer/bundle.js $(VIEWER)/bundle.js
 
 # The environment is made anew when what it is built from has changed.
-SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find src python -name '*.rs' -o -name '*.py' -o -name '*.pyi' -o -name '*.js' -o -name '*.html')
+SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find src python -name '*.rs' -o -name '*.py' -o -name '*.pyi' -o -name '*.js' -o -name '*.html' -o -name '*.wgsl')
 
 .venv/demo: $(SOURCES) | .venv/bin/python
 	sh tests/install_llvm.sh
@@ -61,6 +61,7 @@ SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find src python -name '*
 .venv/test: $(SOURCES) | .venv/bin/python
 	sh tests/install_llvm.sh
 	sh tests/install_chromium.sh
+	sh tests/install_vulkan.sh
 	$(PIP) '.[test,mitsuba]'
 	touch $@
 

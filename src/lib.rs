@@ -27,6 +27,7 @@
 //! - [`hierarchy`]: F as links between elements of all sizes
 //! - [`accuracy`]: a scene solved to a tolerance of the true error
 //! - [`render`]: pictures of a solution
+//! - [`instant`]: pictures without a solution, from virtual point lights (Keller 1997)
 //!
 //! [`error`], [`progress`] and [`simd`] serve all of them. The core knows no Python, prints nothing, reads no files.
 //!
@@ -40,6 +41,7 @@ pub mod error;
 pub mod form_factor;
 pub mod geometry;
 pub mod hierarchy;
+pub mod instant;
 pub mod progress;
 pub mod render;
 pub mod scene;

@@ -19,6 +19,7 @@ from importlib.metadata import version as _version
 from . import mitsuba, plot, scenes
 from .bounces import bounces
 from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
+from .instant import VirtualLights, instant, virtual_lights
 from .load import load
 from .render import Camera, render, save_image, two_pass
 from .save import load_solution, save
@@ -37,11 +38,13 @@ __all__ = [
     "Scene",
     "Solution",
     "View",
+    "VirtualLights",
     "ambient",
     "bounces",
     "forecast",
     "form_factor",
     "form_factors",
+    "instant",
     "load",
     "load_solution",
     "mitsuba",
@@ -55,4 +58,5 @@ __all__ = [
     "solve",
     "solve_system",
     "two_pass",
+    "virtual_lights",
 ]

@@ -13,11 +13,14 @@ __all__ = [
     "forecast_scene",
     "form_factor",
     "gather",
+    "instant",
     "pair_form_factors",
+    "places",
     "render",
     "solve",
     "solve_hierarchical",
     "solve_scene",
+    "virtual_lights",
 ]
 
 _Floats = npt.NDArray[np.float64]
@@ -223,3 +226,33 @@ def render(
 def solve_hierarchical(
     scene: Scene, tolerance: float, seed: int, memory: int, threads: int | None, progress: _Report | None
 ) -> _SolvedOnLinks: ...
+def virtual_lights(
+    scene: Scene, count: int, seed: int, memory: int, threads: int | None, progress: _Report | None
+) -> tuple[_Floats, _Floats, _Ints, _Ints, _Ints, int, float, float]: ...
+def instant(
+    scene: Scene,
+    positions: _Floats,
+    flux: _Floats,
+    patch: _Ints,
+    bounce: _Ints,
+    viewpoint: _Viewpoint,
+    width: int,
+    height: int,
+    bound: float,
+    compensate: bool,
+    lit: bool,
+    seed: int,
+    memory: int,
+    threads: int | None,
+    progress: _Report | None,
+) -> tuple[_Floats, float, _Floats]: ...
+def places(
+    scene: Scene,
+    viewpoint: _Viewpoint,
+    width: int,
+    height: int,
+    sample: int,
+    seed: int,
+    memory: int,
+    threads: int | None,
+) -> tuple[_Floats, _Ints]: ...

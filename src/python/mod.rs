@@ -8,6 +8,7 @@ mod convert;
 mod error;
 mod form_factor;
 mod hierarchy;
+mod instant;
 mod render;
 mod run;
 mod scene;
@@ -25,6 +26,8 @@ mod _core {
     use super::form_factor::{form_factor, pair_form_factors};
     #[pymodule_export]
     use super::hierarchy::solve_hierarchical;
+    #[pymodule_export]
+    use super::instant::{instant, places, virtual_lights};
     #[pymodule_export]
     use super::render::{corner_irradiance, gather, render};
     #[pymodule_export]

@@ -15,9 +15,9 @@ use crate::geometry::Vec3;
 use crate::render::{self as core, Camera, GatherOptions, Image, Shading};
 
 /// Origin, target, up and field of view of a camera.
-type Viewpoint = ([f64; 3], [f64; 3], [f64; 3], f64);
+pub(super) type Viewpoint = ([f64; 3], [f64; 3], [f64; 3], f64);
 
-fn camera((origin, target, up, fov): Viewpoint) -> PyResult<Camera> {
+pub(super) fn camera((origin, target, up, fov): Viewpoint) -> PyResult<Camera> {
     Camera::new(Vec3::from(origin), Vec3::from(target), Vec3::from(up), fov).map_err(to_python)
 }
 
@@ -49,7 +49,7 @@ pub(super) fn render<'py>(
     image_array(py, pixels, [height, width, bands])
 }
 
-fn image_array(py: Python<'_>, pixels: Vec<f64>, shape: [usize; 3]) -> PyResult<Bound<'_, PyArray3<f64>>> {
+pub(super) fn image_array(py: Python<'_>, pixels: Vec<f64>, shape: [usize; 3]) -> PyResult<Bound<'_, PyArray3<f64>>> {
     let array = Array3::from_shape_vec(shape, pixels).map_err(|e| PyValueError::new_err(e.to_string()))?;
     Ok(array.into_pyarray(py))
 }

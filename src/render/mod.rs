@@ -8,7 +8,7 @@ pub mod camera;
 pub mod corners;
 pub mod final_gather;
 mod irradiance_cache;
-mod sight;
+pub(crate) mod sight;
 pub mod view;
 
 pub use camera::Camera;

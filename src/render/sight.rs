@@ -35,20 +35,20 @@ impl Shown {
 }
 
 /// Whether any ray has met a front, and the lowest number of the patches whose backs were met.
-pub(super) struct Sight<'a> {
+pub(crate) struct Sight<'a> {
     scene: &'a Scene,
     front: AtomicBool,
     back: AtomicU32,
 }
 
 impl<'a> Sight<'a> {
-    pub(super) fn new(scene: &'a Scene) -> Sight<'a> {
+    pub(crate) fn new(scene: &'a Scene) -> Sight<'a> {
         Sight { scene, front: AtomicBool::new(false), back: AtomicU32::new(NO_PATCH) }
     }
 
     /// Whether a ray has met the front of a patch.
     #[inline]
-    pub(super) fn is_front(&self, hit: &Hit, direction: Vec3) -> bool {
+    pub(crate) fn is_front(&self, hit: &Hit, direction: Vec3) -> bool {
         let is_front = self.scene.normals()[hit.patch as usize].dot(direction) < 0.0;
         if is_front {
             self.front.store(true, Ordering::Relaxed);
@@ -92,7 +92,7 @@ impl<'a> Sight<'a> {
     }
 
     /// A picture without a single front is black: refuses it, and says why.
-    pub(super) fn check(&self, camera: &Camera) -> Result<()> {
+    pub(crate) fn check(&self, camera: &Camera) -> Result<()> {
         let (origin, back) = (camera.origin(), self.back.load(Ordering::Relaxed));
         if self.front.load(Ordering::Relaxed) {
             return Ok(());
@@ -113,7 +113,7 @@ impl<'a> Sight<'a> {
 }
 
 /// Refuses an image without pixels, and one of more than `memory` bytes at `bytes` for every pixel and band.
-pub(super) fn check_size([width, height, bands]: [usize; 3], bytes: u64, memory: u64) -> Result<()> {
+pub(crate) fn check_size([width, height, bands]: [usize; 3], bytes: u64, memory: u64) -> Result<()> {
     if width == 0 || height == 0 {
         return Err(Error::Invalid(format!("an image of {width} x {height} pixels is empty; both must be at least 1")));
     }

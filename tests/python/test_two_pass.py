@@ -157,6 +157,8 @@ def test_who_cannot_carry_mirrors_says_who_can():
             rad.solve(scene, 0.1, method, **QUIET)
     with pytest.raises(ValueError, match="cannot carry"):
         next(iter(rad.bounces(scene)))
+    with pytest.raises(ValueError, match=f"patch {patch} is a mirror, which instant radiosity cannot carry"):
+        rad.instant(scene, VIEW, 8, 8, **QUIET)
     solution = rad.solve(scene, 0.1, **QUIET)
     for shading in ("flat", "smooth", "gather"):
         with pytest.raises(ValueError, match=f"patch {patch} is a mirror, and render draws diffuse patches: two_pass"):

@@ -14,6 +14,7 @@ mod form_factor;
 mod form_factor_estimators;
 mod geometry;
 mod hierarchy;
+mod instant;
 mod rays;
 mod render;
 mod scene;
