@@ -20,7 +20,7 @@ from .load import load
 from .memory import available_bytes
 from .references import NAMES
 from .render import FORMATS as IMAGE_FORMATS
-from .render import SHADINGS, Camera, render, save_image
+from .render import SHADINGS, Camera, render, save_image, two_pass
 from .save import FORMATS as SOLUTION_FORMATS
 from .save import load_solution, save
 from .scene import Scene
@@ -73,7 +73,9 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("-o", "--output", required=True, metavar="FILE", help=", ".join(IMAGE_FORMATS))
     _add_camera(one)
     one.add_argument("--size", nargs=2, type=int, default=(512, 512), metavar=("WIDTH", "HEIGHT"), help="pixels")
-    one.add_argument("--shading", choices=SHADINGS, default="smooth", help="default: smooth")
+    one.add_argument(
+        "--shading", choices=SHADINGS, help="default: smooth; with mirrors or glass: gather, in two passes"
+    )
     one.add_argument("--noise", type=float, default=0.02, help="gather: relative error from sampling (default: 0.02)")
     one.add_argument("--exposure", type=float, help=".png: factor from radiance to display (default: from the picture)")
     _add_solving(one)
@@ -156,17 +158,14 @@ def _render(options: argparse.Namespace) -> None:
     if camera is None:
         raise ValueError("say where the camera stands and what it looks at: --origin X Y Z --target X Y Z")
     solution = _solution(options)
-    image = render(
-        solution,
-        camera,
-        width,
-        height,
-        options.shading,
-        tolerance=options.noise,
-        seed=options.seed,
-        threads=options.threads,
-        progress=not options.quiet,
-    )
+    scene = solution.as_shown.scene
+    is_specular = scene is not None and not scene.is_diffuse
+    shading = options.shading or ("gather" if is_specular else "smooth")
+    more = {"seed": options.seed, "threads": options.threads, "progress": not options.quiet}
+    if is_specular and shading == "gather":
+        image = two_pass(solution, camera, width, height, options.noise, **more)
+    else:
+        image = render(solution, camera, width, height, shading, options.noise, **more)
     save_image(options.output, image, options.exposure)
     _tell(options, f"written    {options.output}")
 

@@ -110,3 +110,13 @@ def test_gltf_files_have_y_up(tmp_path):
     assert main(["render", glb, "-o", picture, *same]) == 0
     assert main(["render", glb, "-o", told, "--up", "0", "1", "0", *same]) == 0
     assert Path(picture).read_bytes() == Path(told).read_bytes()
+
+
+def test_mirrors_and_glass_are_drawn_in_two_passes(tmp_path, capsys):
+    pytest.importorskip("PIL.Image")
+    picture = tmp_path / "room.png"
+    command = ["render", "mirror_and_glass", "-o", str(picture), "--size", "16", "12", "--tolerance", "0.2", "--quiet"]
+    assert main([*command, "--noise", "0.5"]) == 0
+    assert picture.exists()
+    assert main([*command, "--shading", "flat"]) == 1
+    assert "two_pass draws mirrors and glass" in capsys.readouterr().err
