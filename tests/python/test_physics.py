@@ -69,10 +69,58 @@ def test_energy_is_conserved(scene, seed):
 @SLOW
 def test_moving_scaling_and_renumbering_change_nothing(scene, exponent, seed):
     rng = np.random.default_rng(seed)
-    rotation = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    rotation = _rotation(rng)
     order = rng.permutation(scene.n_patches)
     moved = rad.Scene(10.0**exponent * (scene.vertices @ rotation.T + rng.uniform(-10, 10, 3)), scene.faces[order])
     F, G = (rad.form_factors(s, tolerance=TOLERANCE).toarray() for s in (scene, moved))
     # The segments of a pair depend on its numbers, so partly hidden pairs differ by the sampling: both rows are within
     # the tolerance of the same truth.
     assert np.abs(F[np.ix_(order, order)] - G).sum(axis=1).max() <= 2 * TOLERANCE
+
+
+@given(rooms(), st.integers(0, 2**32 - 1))
+@SLOW
+def test_light_adds_up_and_more_reflectance_is_never_less_light(scene, seed):
+    rng = np.random.default_rng(seed)
+    n = scene.n_patches
+    F = rad.form_factors(scene, tolerance=TOLERANCE)
+    first, second = (rng.random((n, 2)) * (rng.random((n, 1)) < 0.3) for _ in range(2))
+    rho = rng.uniform(0.0, 0.8, (n, 2))
+    one, other, both = (
+        rad.solve_system(F, emission, rho, "direct").radiosity for emission in (first, second, first + second)
+    )
+    # Three LU solves of condition at most (1 + rho) / (1 - rho) = 9: a few hundred roundings.
+    assert np.allclose(both, one + other, rtol=1e-12, atol=1e-12 * both.max())
+    brighter = rad.solve_system(F, first, rho + rng.uniform(0.0, 0.15, (n, 2)), "direct").radiosity
+    assert (brighter >= one * (1.0 - 1e-12)).all()
+
+
+@given(rooms(), st.integers(0, 2**32 - 1))
+@SLOW
+def test_a_thing_more_in_the_room_never_raises_a_form_factor(scene, seed):
+    rng = np.random.default_rng(seed)
+    # A small tetrahedron between the boxes, which stand at x = -0.8 and 0.8 and reach 0.7 from there.
+    corners = 0.09 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) @ _rotation(rng).T
+    faces = len(scene.vertices) + np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    fuller = rad.Scene(np.concatenate([scene.vertices, corners]), np.concatenate([scene.faces, faces]))
+    n = scene.n_patches
+    before, after = (rad.form_factors(s, tolerance=TOLERANCE).toarray()[:n, :n] for s in (scene, fuller))
+    # Exact shadows in most pairs; where segments decide, both rows are within the tolerance.
+    assert np.maximum(after - before, 0.0).sum(axis=1).max() <= 2 * TOLERANCE
+    assert after.sum() < before.sum()
+
+
+@given(rooms())
+@SLOW
+def test_splitting_patches_keeps_the_sums(scene):
+    finer = scene.subdivide(0.6 * scene.report().longest_edge)
+    coarse, fine = (rad.form_factors(s, tolerance=TOLERANCE).toarray() for s in (scene, finer))
+    parts = np.zeros((finer.n_patches, scene.n_patches))
+    parts[np.arange(finer.n_patches), finer.parent] = 1.0
+    # A_i F_ij = sum over the parts k of i and l of j of A_k F_kl: rows of both are within the tolerance.
+    joined = parts.T @ (finer.areas[:, None] * fine) @ parts / scene.areas[:, None]
+    assert np.abs(joined - coarse).sum(axis=1).max() <= 2 * TOLERANCE
+
+
+def _rotation(rng):
+    return trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
