@@ -13,7 +13,7 @@ use super::stages::Stages;
 use super::transport::{FIRST_SEGMENTS, Ground, Tally, Transport};
 use crate::assembly::Order;
 use crate::assembly::rays::Field;
-use crate::direct::patches::SCRAMBLES;
+use crate::direct::SCRAMBLES;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::Scene;

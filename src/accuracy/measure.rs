@@ -10,7 +10,8 @@ use super::statistics::{Unit, Weight, mean_and_error, spread_of_square, square_o
 use super::transport::Tally;
 use crate::assembly::Rays;
 use crate::assembly::rays::Field;
-use crate::direct::patches::{Direct, SCRAMBLES};
+use crate::direct::SCRAMBLES;
+use crate::direct::patches::Direct;
 use crate::error::Result;
 use crate::scene::Scene;
 use crate::solve::{Audit, Observer, System, propagated};

@@ -7,7 +7,7 @@ use super::plan::{Plan, cheapest};
 use super::stages::Stages;
 use super::transport::{FIRST_SEGMENTS, Ground, Tally, Transport};
 use crate::assembly::rays::BYTES_OF_TRIP;
-use crate::direct::patches::SCRAMBLES;
+use crate::direct::SCRAMBLES;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::Scene;

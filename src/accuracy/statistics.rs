@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::direct::patches::SCRAMBLES;
+use crate::direct::SCRAMBLES;
 use crate::scene::Scene;
 
 /// What errors of the irradiance count for: A rho^2, or A in a band that nothing reflects.

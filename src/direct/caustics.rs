@@ -15,10 +15,9 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::Surroundings;
 use super::lamp::Point;
 use super::lamps::Lamps;
-use super::patches::SCRAMBLES;
+use super::{SCRAMBLES, Surroundings};
 use crate::error::Result;
 use crate::geometry::sampling::{Sobol, barycentric, hash, point_in_triangle};
 use crate::progress::Progress;

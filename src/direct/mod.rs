@@ -39,3 +39,8 @@ pub struct Surroundings<'a> {
     /// Those that can stand between others.
     pub blockers: &'a Bvh,
 }
+
+/// Independent scrambles of every sample.
+pub const SCRAMBLES: usize = 4;
+// Halves of them, and what is left without one, have to have a spread.
+const _: () = assert!(SCRAMBLES >= 4 && SCRAMBLES.is_multiple_of(2));

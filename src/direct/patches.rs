@@ -9,19 +9,14 @@
 
 use rayon::prelude::*;
 
-use super::Surroundings;
 use super::caustics::Caustics;
 use super::lamp::Point;
+use super::{SCRAMBLES, Surroundings};
 use crate::error::Result;
 use crate::form_factor::{Accuracy, Batch, Shape};
 use crate::geometry::sampling::{Sobol, hash, point_in_triangle};
 use crate::progress::Progress;
 use crate::visibility::{NO_PATCH, Segment};
-
-/// Independent scrambles of every sample.
-pub const SCRAMBLES: usize = 4;
-// Halves of them, and what is left without one, have to have a spread.
-const _: () = assert!(SCRAMBLES >= 4 && SCRAMBLES.is_multiple_of(2));
 
 /// Share of the segments that watch lamps on which all segments have agreed so far: a sliver of a shadow escapes a few.
 const WATCH: f64 = 0.25;

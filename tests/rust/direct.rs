@@ -3,9 +3,10 @@
 use std::f64::consts::{PI, TAU};
 
 use radiosity::Progress;
+
 use radiosity::direct::lamp::Point;
-use radiosity::direct::patches::{Direct, SCRAMBLES};
-use radiosity::direct::{Lamp, Lamps, Surroundings};
+use radiosity::direct::patches::Direct;
+use radiosity::direct::{Lamp, Lamps, SCRAMBLES, Surroundings};
 use radiosity::geometry::sampling::Sobol;
 use radiosity::scene::Sides;
 use radiosity::visibility::Bvh;

@@ -5,8 +5,9 @@ use std::f64::consts::PI;
 use radiosity::Progress;
 use radiosity::accuracy::{Options, solve};
 use radiosity::assembly::Order;
-use radiosity::direct::patches::{Direct, SCRAMBLES};
-use radiosity::direct::{Lamps, Surroundings};
+
+use radiosity::direct::patches::Direct;
+use radiosity::direct::{Lamps, SCRAMBLES, Surroundings};
 use radiosity::geometry::Vec3;
 use radiosity::scene::{Description, Material, Scene, Sides};
 use radiosity::visibility::specular::{End, branches, follow};
