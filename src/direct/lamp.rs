@@ -23,7 +23,7 @@ use crate::visibility::Hit;
 /// Points closer than this many radii see the lamp under so different distances that they sample its solid angle.
 const NEAR: f64 = 2.0;
 /// Rounding of coordinates, in units of the largest of them: what lies off a plane by less lies in it.
-const GRAIN: f64 = 64.0 * f64::EPSILON;
+pub(super) const GRAIN: f64 = 64.0 * f64::EPSILON;
 
 /// A point of a surface.
 #[derive(Debug, Clone, Copy)]

@@ -8,7 +8,7 @@
 //! Exact for one reflection. Light by way of two mirrors, of bent ones or of glass is left to rays.
 
 use super::flat_parts::{flat_parts, groups};
-use super::lamp::Lamp;
+use super::lamp::{GRAIN, Lamp};
 use crate::error::Result;
 use crate::geometry::Vec3;
 use crate::geometry::polygon::{Plane, area_vector, clip_to_front};
@@ -72,7 +72,10 @@ impl FlatMirror {
     /// the image is not seen in the mirror.
     pub(super) fn folded(&self, segment: &Segment) -> Option<[Segment; 2]> {
         let (before, behind) = (self.plane.distance(segment.start), self.plane.distance(segment.end));
-        if !(before > 0.0 && behind < 0.0) {
+        // On its own back a point lies in the plane of the mirror, not before it, as far as rounding lets one tell.
+        let largest = self.ring.iter().map(|v| v.abs().max_element()).fold(0.0, f64::max);
+        let least = GRAIN * (largest + segment.start.abs().max_element());
+        if !(before > least && behind < 0.0) {
             return None;
         }
         let on = segment.start + before / (before - behind) * (segment.end - segment.start);

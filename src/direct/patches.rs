@@ -16,6 +16,7 @@ use crate::error::Result;
 use crate::form_factor::{Accuracy, Batch, Shape};
 use crate::geometry::sampling::{Sobol, hash, point_in_triangle};
 use crate::progress::Progress;
+use crate::scene::Material;
 use crate::visibility::{NO_PATCH, Segment};
 
 /// Share of the segments that watch lamps on which all segments have agreed so far: a sliver of a shadow escapes a few.
@@ -218,6 +219,13 @@ impl<'a> Direct<'a> {
         if let Some(caustics) = &self.caustics {
             caustics.add_of_scramble(i, s, out);
         }
+    }
+
+    /// Whether mirrors take light of the lamps of which nothing is known: what ends in them on its way as a caustic.
+    pub fn loses_caustics(&self) -> bool {
+        let scene = self.surroundings.scene;
+        let absorbs = |i: usize| matches!(scene.material(i), Material::Mirror(reflected) if reflected < 1.0);
+        self.caustics.is_some() && (0..scene.len()).any(absorbs)
     }
 
     /// The part of H of patch i that comes by way of glass and bent mirrors, added to `out`.

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 
 use rayon::prelude::*;
 
-use crate::scene::Scene;
+use crate::scene::{Material, Scene};
 
 /// Cosine of the largest angle between patches that are shaded as one surface: 40 degrees keeps boxes sharp and coarse
 /// spheres round.
@@ -31,9 +31,11 @@ impl Corners {
             face.iter().for_each(|&v| around.entry(key(v)).or_default().push(i as u32));
         }
         let (mut ends, mut patches) = (Vec::with_capacity(3 * scene.len()), Vec::new());
-        for (face, normal) in scene.faces().iter().zip(scene.normals()) {
+        for (i, (face, normal)) in scene.faces().iter().zip(scene.normals()).enumerate() {
             for &v in face {
-                let is_level = |&&j: &&u32| normal.dot(scene.normals()[j as usize]) >= CREASE;
+                // Mirrors and glass have no light of their own to lend.
+                let lends = |j: usize| j == i || scene.material(j) == Material::Diffuse;
+                let is_level = |&&j: &&u32| lends(j as usize) && normal.dot(scene.normals()[j as usize]) >= CREASE;
                 patches.extend(around[&key(v)].iter().filter(is_level));
                 ends.push(patches.len());
             }

@@ -418,8 +418,10 @@ impl View<'_> {
                     *out += (1.0 - v - w) * corner(0) + v * corner(1) + w * corner(2);
                 }
             }
+            // The cache knows the place that a ray shows most of; the other one of glass is gathered at by itself.
+            let is_first = m == 0 || of[m - 1] != of[m];
             if let Some(Indirect { cache, .. }) = indirect
-                && !cache.add(place(of[m]), point, &mut arriving)
+                && !(is_first && cache.add(place(of[m]), point, &mut arriving))
             {
                 let number = u64::from(numbers.start) + (of[m] % each) as u64;
                 let seed = hash(stream ^ hash((pixels[pixel] as u64) << 32 | number));

@@ -13,7 +13,7 @@ use radiosity::scene::{Description, Material, Scene, Sides};
 use radiosity::visibility::specular::{End, branches, follow};
 use radiosity::visibility::{Bvh, NO_PATCH, Ray};
 
-use crate::common::{Mesh, PLENTY, Random, assert_close, cube, icosphere, invalid, plate, vec3};
+use crate::common::{Mesh, PLENTY, Random, assert_close, cube, icosphere, invalid, plate, rotated, vec3};
 
 /// A scene of one band; mirrors and glass have no reflectance and no emission.
 fn scene(
@@ -312,4 +312,23 @@ fn finer_patches_keep_their_material() {
     for (i, parent) in parents.iter().enumerate() {
         assert_eq!(fine.material(i), coarse.material(*parent as usize));
     }
+}
+
+#[test]
+fn no_light_gets_behind_a_mirror() {
+    // A tilted mirror with a diffuse back, a lamp before it, a screen behind it: rounding puts points of the back on either side
+    // of the plane.
+    let mirror = plate(vec3(-0.5, -0.5, 0.0), Vec3::X, Vec3::Y, 2);
+    let lamp = plate(vec3(-0.1, -0.1, 0.8), 0.2 * Vec3::Y, 0.2 * Vec3::X, 1);
+    let screen = plate(vec3(-0.2, -0.2, -0.5), 0.4 * Vec3::X, 0.4 * Vec3::Y, 1);
+    let n = mirror.faces.len();
+    let mesh = mirror.clone().and(&mirror.reversed()).and(&lamp).and(&screen);
+    let rotation = Random::new(3).rotation();
+    let mesh = mesh.map(|v| rotated(&rotation, v));
+    let material = |i: usize| if i < n { Material::Mirror(0.9) } else { Material::Diffuse };
+    let emission = |i: usize| if (2 * n..2 * n + 2).contains(&i) { PI } else { 0.0 };
+    let (irradiance, _) = direct_irradiance(&scene(&mesh, material, |_| 0.5, emission), 2 * n + 4, 1024);
+    assert!(irradiance[..n].iter().all(|h| *h > 0.0), "{irradiance:?}");
+    let behind = irradiance[n..2 * n].iter().chain(&irradiance[2 * n + 2..]);
+    assert!(behind.copied().all(|h| h == 0.0), "{irradiance:?}");
 }
