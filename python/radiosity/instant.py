@@ -13,7 +13,7 @@ from . import _core
 from .arrays import FloatArray, IntArray, read_only, real_number, seed_number, thread_count, whole_number
 from .memory import available_bytes
 from .progress import Progress, reporter
-from .render import Camera
+from .render import Camera, Viewpoint, viewpoint
 from .scene import Scene
 
 SHADOWS = ("rays", "maps")
@@ -72,7 +72,9 @@ class VirtualLights:
             bound: as of :func:`instant`.
             threads: None for all cores.
         """
-        return _instant(self.scene, self, camera, (_GLANCE, _GLANCE), bound, True, True, 0, threads, False)[1]
+        return _instant(self.scene, self, viewpoint(camera), (_GLANCE, _GLANCE), bound, True, True, 0, threads, False)[
+            1
+        ]
 
 
 def virtual_lights(
@@ -170,8 +172,7 @@ def instant(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}: no solution is needed here")
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera must be a radiosity.Camera, not {type(camera).__name__}")
+    view = viewpoint(camera)
     if shadows not in SHADOWS:
         raise ValueError(f"unknown shadows {shadows!r}; there are {SHADOWS}")
     width, height = (whole_number(name, size, 1, 1 << 20) for name, size in (("width", width), ("height", height)))
@@ -189,9 +190,9 @@ def instant(
 
         maps = ShadowMaps(lights, (height, width, scene.bands), resolution)
     size, lit = (width, height), maps is None
-    image, _, bounds = _instant(scene, lights, camera, size, bound, compensate, lit, seed, threads, progress)
+    image, _, bounds = _instant(scene, lights, view, size, bound, compensate, lit, seed, threads, progress)
     if maps is not None:
-        maps.add_light(image, bounds, camera, seed, threads, progress)
+        maps.add_light(image, bounds, view, seed, threads, progress)
     return image
 
 
@@ -207,7 +208,7 @@ def _bound(lights: VirtualLights, bound: float | None) -> float:
 def _instant(
     scene: Scene,
     lights: VirtualLights,
-    camera: Camera,
+    view: Viewpoint,
     size: tuple[int, int],
     bound: float | None,
     compensate: bool,
@@ -220,7 +221,6 @@ def _instant(
 
     Not ``lit``: without what maps add.
     """
-    viewpoint = (camera.origin, camera.target, camera.up, float(camera.fov))
     with reporter(progress, "instant") as report:
         return _core.instant(
             scene._core,
@@ -228,7 +228,7 @@ def _instant(
             lights.flux,
             lights.patch,
             lights.bounce,
-            viewpoint,
+            view,
             *size,
             _bound(lights, bound),
             compensate,

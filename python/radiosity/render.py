@@ -21,6 +21,8 @@ from .progress import Progress, reporter
 from .solution import Solution
 
 SHADINGS = ("flat", "smooth", "gather")
+Point: TypeAlias = tuple[float, float, float]
+Viewpoint: TypeAlias = tuple[Point, Point, Point, float]
 OnImage: TypeAlias = Callable[[FloatArray, float], object]
 FORMATS = (".png", ".exr")
 
@@ -106,7 +108,7 @@ def render(
         Gouraud 1971; Cohen & Greenberg 1985, section 7; final gather: Reichert 1992; Lischinski, Tampieri & Greenberg
         1993; Ward, Rubinstein & Clear 1988.
     """
-    shown = _shown(solution, camera)
+    shown, view = _shown(solution), viewpoint(camera)
     assert shown.scene is not None
     if not shown.scene.is_diffuse:
         patch = int(np.argmax((shown.scene.mirror > 0.0) | (shown.scene.ior > 0.0)))
@@ -119,13 +121,13 @@ def render(
     if not 0.0 < real_number("tolerance", tolerance) < 1.0:
         raise ValueError(f"tolerance {tolerance} is outside (0, 1)")
     if shading == "gather":
-        return _gathered(shown, camera, width, height, tolerance, seed, on_image, threads, progress)
+        return _gathered(shown, view, width, height, tolerance, seed, on_image, threads, progress)
     width, height = _size(width, height)
     with reporter(progress, "render") as report:
         return _core.render(
             shown.scene._core,
             shown.irradiance if shading == "smooth" else shown.radiosity,
-            _viewpoint(camera),
+            view,
             width,
             height,
             shading == "smooth",
@@ -157,7 +159,7 @@ def two_pass(
     way of glass or of a bent mirror, is known as an average over patches and drawn no finer: subdivide where it falls.
 
     Args:
-        solution: of :func:`radiosity.solve` by rays.
+        solution: of :func:`radiosity.solve` by rays; where nothing is a mirror or glass, any.
         camera: the viewpoint.
         width: pixels a row.
         height: rows.
@@ -172,21 +174,19 @@ def two_pass(
         (height, width, b), row 0 on top. Backs of diffuse patches and of mirrors, and empty space, are black.
 
     Raises:
-        TypeError, ValueError, MemoryError: those of :func:`radiosity.render`.
+        TypeError, ValueError, MemoryError: those of :func:`radiosity.render` for ``"gather"``, without mirrors.
 
     Sources:
         Wallace, Cohen & Greenberg 1987; Sillion & Puech 1989.
     """
-    shown = _shown(solution, camera)
-    return _gathered(shown, camera, width, height, tolerance, seed, on_image, threads, progress)
+    shown, view = _shown(solution), viewpoint(camera)
+    return _gathered(shown, view, width, height, tolerance, seed, on_image, threads, progress)
 
 
-def _shown(solution: Solution, camera: Camera) -> Solution:
+def _shown(solution: Solution) -> Solution:
     """What a picture of a solution shows, which has a scene."""
     if not isinstance(solution, Solution):
         raise TypeError(f"solution must be a radiosity.Solution, not {type(solution).__name__}")
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera must be a radiosity.Camera, not {type(camera).__name__}")
     if solution.scene is None:
         raise ValueError("this solution was made from a plain matrix and knows no geometry; solve form_factors(scene)")
     shown = solution.as_shown
@@ -207,13 +207,16 @@ def _size(width: int, height: int) -> tuple[int, int]:
     return whole_number("width", width, 1, 1 << 20), whole_number("height", height, 1, 1 << 20)
 
 
-def _viewpoint(camera: Camera) -> tuple[Any, Any, Any, float]:
+def viewpoint(camera: Camera) -> Viewpoint:
+    """A camera as the core takes it: origin, target, up, field of view; ``TypeError`` for what is none."""
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera must be a radiosity.Camera, not {type(camera).__name__}")
     return camera.origin, camera.target, camera.up, float(camera.fov)
 
 
 def _gathered(
     shown: Solution,
-    camera: Camera,
+    view: Viewpoint,
     width: int,
     height: int,
     tolerance: float,
@@ -230,7 +233,7 @@ def _gathered(
         image, reached, passes = _core.gather(
             shown.scene._core,
             shown.irradiance,
-            _viewpoint(camera),
+            view,
             width,
             height,
             real_number("tolerance", tolerance),

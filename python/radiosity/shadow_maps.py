@@ -25,7 +25,7 @@ from .arrays import FloatArray, thread_count
 from .instant import VirtualLights
 from .memory import available_bytes
 from .progress import Progress, reporter
-from .render import Camera
+from .render import Viewpoint
 
 # Places in a pixel, as in the core.
 SAMPLES = 16
@@ -65,7 +65,7 @@ class ShadowMaps:
         self,
         image: FloatArray,
         bounds: FloatArray,
-        camera: Camera,
+        view: Viewpoint,
         seed: int,
         threads: int | None,
         progress: Progress,
@@ -75,20 +75,19 @@ class ShadowMaps:
         Args:
             image: the image.
             bounds: (m,) the bound of each light's geometry term, 1/m^2.
-            camera: the viewpoint.
+            view: the viewpoint.
             seed: of the places in the pixels.
             threads: of the rays that find them.
             progress: see :mod:`radiosity.progress`.
         """
         self._upload(bounds)
         scene = self._lights.scene
-        viewpoint = (camera.origin, camera.target, camera.up, float(camera.fov))
         flat = image.reshape(-1, self._bands)
         with reporter(progress, "shadow maps") as report:
             for sample in range(SAMPLES):
                 positions, patch = _core.places(
                     scene._core,
-                    viewpoint,
+                    view,
                     self._width,
                     self._height,
                     sample,

@@ -33,7 +33,7 @@ class EnergyAudit:
     emitted: FloatArray
     """(b,) sum of A E."""
     absorbed: FloatArray
-    """(b,) sum of A (1 - rho) H."""
+    """(b,) sum of A (1 - rho) H; of a mirror, what it does not send back."""
     left: FloatArray
     """(b,) what left the scene or met the back of a patch: sum of A B times the remainder."""
     unshot: FloatArray

@@ -188,9 +188,10 @@ def show(
 
 
 def _is_same(scene: Scene | None, other: Scene) -> bool:
-    names = ("vertices", "faces", "reflectance", "emission")
+    names = ("vertices", "faces", "reflectance", "emission", "mirror", "ior")
     return scene is other or (
-        scene is not None and all(np.array_equal(getattr(scene, name), getattr(other, name)) for name in names)
+        scene is not None
+        and all(np.array_equal(getattr(scene, name), getattr(other, name), equal_nan=True) for name in names)
     )
 
 

@@ -73,6 +73,8 @@ def test_what_the_bound_cuts_is_told(cornell, lights):
     # The view is 64 x 64 pixels, those of share_cut: its lamp, seen directly, is not reflected.
     whole, cut = (rad.instant(cornell, VIEW, 64, 64, lights, compensate=compensate) for compensate in (True, False))
     reflected = whole[whole.max(axis=2) < 0.5].sum()
+    with pytest.raises(TypeError, match=r"camera must be a radiosity\.Camera, not NoneType"):
+        lights.share_cut(None)
     missing = 1.0 - cut[whole.max(axis=2) < 0.5].sum() / reflected
     # Pixels that the lamp covers in part are left out here, and not there: 1 %.
     assert lights.share_cut(VIEW) == pytest.approx(missing, abs=0.01)

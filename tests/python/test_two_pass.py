@@ -184,6 +184,23 @@ def test_wrong_materials_are_named(wrong, message):
         rad.Scene(*square, **{"reflectance": 0.0, **wrong})
 
 
+def test_a_closed_room_of_mirrors_that_lose_nothing_is_refused():
+    room = rad.scenes.furnace()
+    for material in ({"mirror": 1.0}, {"ior": 1.5}):
+        with pytest.raises(
+            ValueError, match=r"sends all light on in band 0 \(reflectance 1, a mirror of 1, or glass\)"
+        ):
+            rad.Scene(room.vertices, room.faces, 0.0, 0.0, **material)
+
+
+def test_a_slider_holds_solutions_of_the_same_mirrors_only():
+    rooms = [mirrored_room(part)[0] for part in (0.5, 0.5, 0.6)]
+    one, same, other = (rad.solve(room, 0.2, **QUIET) for room in rooms)
+    rad.show([one, same])
+    with pytest.raises(ValueError, match="not of one scene with one set of materials"):
+        rad.show([one, other])
+
+
 def test_materials_are_kept(tmp_path):
     scene = rad.scenes.mirror_and_glass(0.3, facets=0)
     solution = rad.solve(scene, 0.2, **QUIET)
