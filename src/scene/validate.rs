@@ -144,8 +144,8 @@ pub(super) fn scene(scene: &Scene) -> Result<()> {
     for band in 0..scene.bands {
         if (0..scene.len()).all(|i| scene.absorptance(i, band) == 0.0) && is_closed(scene) {
             problems.push(format!(
-                "every patch of this closed scene sends all light on in band {band} (reflectance 1, a mirror of 1, or \
-                 glass): light never leaves it and there is no finite solution; at least one patch must absorb"
+                "every patch of this closed scene has reflectance 1 in band {band}, or is a mirror of 1 or glass: light \
+                 never leaves it and there is no finite solution; at least one patch must absorb"
             ));
         }
     }
