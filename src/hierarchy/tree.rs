@@ -1,6 +1,6 @@
 //! The tree of elements: clusters of patches, patches, and parts of patches.
 //!
-//! A patch is cut into four elements by halving its edges, each of those into four, and so on, where light asks for it (Hanrahan,
+//! A patch is cut into elements by halving its edges, each of those again, and so on, where light asks for it (Hanrahan,
 //! Salzman & Aupperle 1991). Above the patches are clusters (Smits, Arvo & Greenberg 1994), halved from the top: first
 //! what faces different ways is parted, then what lies in different places; what lies in one plane stays together longest,
 //! since it is flat and cannot see itself. Parents have lower numbers than their children.
@@ -13,6 +13,7 @@ use super::functions::{Functions, MOST, Moments, Place, place};
 use crate::assembly::Order;
 use crate::geometry::polygon::{Plane, area, centre};
 use crate::geometry::sampling::point_in_triangle;
+use crate::geometry::subdivision::split;
 use crate::geometry::{Triangle, Vec3};
 use crate::scene::Scene;
 use crate::visibility::NO_PATCH;
@@ -307,13 +308,24 @@ impl Tree {
         node.samples = samples;
     }
 
-    /// Cuts a leaf into four.
+    /// Cuts a leaf into four; a sliver, whose short edges need no halving, into two or three, so that it takes no more elements to come
+    /// down to some length than a wide patch does.
     pub fn divide(&mut self, number: usize) {
-        let Node { face: [a, b, c], patch, level, patches, body, axis, .. } = self.nodes[number].clone();
-        let [ab, bc, ca] = [[a, b], [b, c], [c, a]].map(|edge| self.midpoint(edge));
+        /// Edges longer than this are halved, relative to the longest.
+        const LONG: f64 = 1.0 / 3.0;
+        let Node { face, patch, level, patches, body, axis, .. } = self.nodes[number].clone();
+        let edges = [[face[0], face[1]], [face[1], face[2]], [face[2], face[0]]];
+        let lengths = edges.map(|[a, b]| self.vertices[a as usize].distance(self.vertices[b as usize]));
+        let longest = lengths.into_iter().fold(0.0, f64::max);
+        let mut middle = [None; 3];
+        for k in 0..3 {
+            middle[k] = (lengths[k] > LONG * longest).then(|| self.midpoint(edges[k]));
+        }
+        let mut parts = Vec::with_capacity(4);
+        split(face, middle, &self.vertices, &mut parts);
         let first = self.nodes.len() as u32;
-        self.nodes[number].children = first..first + 4;
-        for face in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
+        self.nodes[number].children = first..first + parts.len() as u32;
+        for face in parts {
             let (node, _) = self.element(face, axis, patch, body);
             self.nodes.push(Node { parent: number as u32, level: level + 1, patches: patches.clone(), ..node });
         }
