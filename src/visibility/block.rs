@@ -175,7 +175,7 @@ impl Block {
     fn clip(&mut self) {
         for r in 0..BLOCK {
             let start = self.origin(r);
-            let direction = Vec3::new(self.direction[0][r], self.direction[1][r], self.direction[2][r]);
+            let direction = self.direction(r);
             let length = if self.size[r] > 0.0 { self.length[r] } else { f64::NAN };
             let (enter, rest) = through_the_box(start, direction, length).unwrap_or((0.0, -1.0));
             let from = if rest >= 0.0 { start + enter * direction } else { Vec3::ZERO };
@@ -199,6 +199,11 @@ impl Block {
             (o, [self.direction.get_unchecked(x)[r], self.direction.get_unchecked(y)[r]])
         };
         Line { axes: [x, y, z], origin: o, shear: [d[0] * sign, d[1] * sign, sign] }
+    }
+
+    /// Where ray `r` goes; once prepared, with a main component of +-1.
+    pub(super) fn direction(&self, r: usize) -> Vec3 {
+        Vec3::new(self.direction[0][r], self.direction[1][r], self.direction[2][r])
     }
 
     /// Where ray `r` starts; once prepared, within the box.

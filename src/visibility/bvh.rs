@@ -135,13 +135,23 @@ impl Bvh {
         self.places.get(patch as usize).copied().unwrap_or(NOWHERE)
     }
 
+    /// Whether triangle `k` is the front of a patch to a ray along `direction`.
+    pub(super) fn faces(&self, k: usize, direction: Vec3) -> bool {
+        let Patches { front, back } = self.patches[k];
+        front != back || self.is_seen_from_front(k, direction)
+    }
+
+    fn is_seen_from_front(&self, k: usize, direction: Vec3) -> bool {
+        area_vector(&self.triangles[k]).dot(direction) < 0.0
+    }
+
     /// What the hit of triangle `k` at `t` tells the one who asked.
     #[inline(always)]
     pub(super) fn hit(&self, k: usize, t: f64, [v, w]: [f64; 2], direction: Vec3) -> Hit {
         let Patches { front, back } = self.patches[k];
         let t = t / self.scale;
         // The twin's corners 1 and 2 are exchanged.
-        let from_front = front == back || area_vector(&self.triangles[k]).dot(direction) < 0.0;
+        let from_front = front == back || self.is_seen_from_front(k, direction);
         let (patch, barycentric) = if from_front { (front, [v, w]) } else { (back, [w, v]) };
         Hit { patch, t, barycentric }
     }

@@ -13,7 +13,9 @@ use crate::geometry::Vec3;
 use crate::geometry::polygon::area_vector;
 
 /// Of a ray: relative to the scene. Of a segment: relative to its length, but not more than that.
-const OWN_SURFACE: f64 = 1e-9;
+///
+/// What is nearer to each other along a ray is one surface to it, of which it meets the front.
+pub(super) const OWN_SURFACE: f64 = 1e-9;
 
 impl Bvh {
     /// Where the own surface surely ends, in f32: the end of a ray that hits a triangle for sure beyond this does not lie in

@@ -7,6 +7,7 @@
 use super::block::{BLOCK, Block};
 use super::bvh::Bvh;
 use super::intersect::Line;
+use super::own_surface::OWN_SURFACE;
 use super::ray::{Hit, Ray, Segment};
 use super::sift::{Sifted, sift_pack};
 use super::wide::{DONE, LEAF, Node, Pack};
@@ -126,9 +127,14 @@ impl Best {
     fn decide(&mut self, bvh: &Bvh, block: &Block, r: usize, k: u32) {
         let line: Line = block.line(r);
         let Some((t, barycentric)) = line.hit(&bvh.triangles[k as usize]) else { return };
-        // Equal distances, as on a shared edge, go to the lower number: the answer must not depend on the tree.
-        let front = |k: u32| bvh.patches[k as usize].front;
-        let nearer = t < self.t[r] || (t == self.t[r] && front(k) < front(self.triangle[r]));
+        // Of surfaces that lie on each other, cut along whichever lines, that which faces the ray is met: as if it were
+        // nearer. Equal distances, as on a shared edge, go to the lower number: the answer must not depend on the tree.
+        let rank = |t: f64, k: u32| {
+            let lead = if bvh.faces(k as usize, block.direction(r)) { OWN_SURFACE } else { 0.0 };
+            (t - lead, bvh.patches[k as usize].front)
+        };
+        let is_close = (t - self.t[r]).abs() <= OWN_SURFACE;
+        let nearer = if is_close { rank(t, k) < rank(self.t[r], self.triangle[r]) } else { t < self.t[r] };
         if nearer && bvh.meets(k as usize, t + block.enter[r], block.origin(r)) {
             (self.t[r], self.triangle[r], self.barycentric[r]) = (t, k, barycentric);
         }

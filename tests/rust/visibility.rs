@@ -465,6 +465,28 @@ fn of_two_equal_triangles_the_one_that_faces_the_ray_is_hit() {
 }
 
 #[test]
+fn of_sheets_on_each_other_the_one_that_faces_the_ray_is_hit_however_they_are_cut() {
+    // Two squares back to back that share a diagonal or not, turned so that rounding puts either before the other.
+    let random = Random::new(22);
+    for case in 0..20 {
+        let (x, y) = (random.direction(), random.direction());
+        let corners = [Vec3::ZERO, x, x + y, y];
+        for second in [[[0, 2, 1], [0, 3, 2]], [[0, 3, 1], [1, 3, 2]]] {
+            let faces = [[0, 1, 2], [0, 2, 3], second[0], second[1]];
+            let scene = Mesh { vertices: corners.to_vec(), faces: faces.to_vec() }.scene();
+            let bvh = Bvh::of_scene(&scene);
+            for _ in 0..100 {
+                let target = random.between(0.01, 0.99) * x + random.between(0.01, 0.99) * y;
+                let direction = random.direction();
+                let hit = closest(&bvh, target - direction, direction).expect("the sheet");
+                let cosine = scene.normals()[hit.patch as usize].dot(direction);
+                assert!(cosine < 0.0, "case {case}: patch {} at a cosine of {cosine}", hit.patch);
+            }
+        }
+    }
+}
+
+#[test]
 fn of_exact_duplicates_the_first_is_hit() {
     let sheet = plate(Vec3::ZERO, Vec3::X, Vec3::Y, 1);
     let scene = sheet.clone().and(&sheet).and(&plate(Vec3::Z, Vec3::X, Vec3::Y, 1)).scene();
