@@ -123,7 +123,8 @@ def form_factors(
         progress: see :mod:`radiosity.progress`.
 
     Raises:
-        ValueError: an unknown method, a tolerance out of range.
+        ValueError: an unknown method, a tolerance out of range; for ``"analytic"`` and ``"hierarchical"`` a patch that
+            repeats another one, whose light would count twice.
         MemoryError: the factors would not fit, with the estimate; the dense exchange is refused before any work, sparse
             rows as soon as they outgrow the memory.
 

@@ -94,7 +94,7 @@ def virtual_lights(
         progress: see :mod:`radiosity.progress`.
 
     Raises:
-        ValueError: no lights asked for, or a scene that emits nothing.
+        ValueError: no lights asked for, a scene that emits nothing, or one with a patch that repeats another one.
         MemoryError: the lights would not fit.
 
     Source: Keller, "Instant radiosity", 1997, section 3.
@@ -162,7 +162,8 @@ def instant(
 
     Raises:
         ValueError: unknown shadows, no lights, lights of another scene, a bound that is not positive, an empty image, a
-            scene that emits nothing, a camera that sees nothing or only backs; of maps, more than the device takes.
+            scene that emits nothing or has a patch twice, a camera that sees nothing or only backs; of maps, more than
+            the device takes.
         MemoryError: the image would not fit.
         ImportError: maps without the package wgpu.
         RuntimeError: maps without a GPU driver.

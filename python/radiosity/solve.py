@@ -191,7 +191,8 @@ def solve(
         progress: see :mod:`radiosity.progress`.
 
     Raises:
-        ValueError: an unknown method, a value out of range, or a scene without finite solution.
+        ValueError: an unknown method, a value out of range, or a scene without finite solution; but for ``"rays"``
+            also a patch that repeats another one, whose light would count twice.
         MemoryError: the solution would not fit, with the estimate: before any work, or before the patches are cut.
             ``"hierarchical"`` raises it when not even the patches fit, and else stops where memory ends and says so.
 

@@ -85,10 +85,11 @@ impl Dense {
     /// Computes the form factors of every pair.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a tolerance out of range, [`Error::Memory`] before anything is allocated,
+    /// [`Error::Invalid`] for a tolerance out of range or a patch that is there twice, [`Error::Memory`] before anything is allocated,
     /// [`Error::Interrupted`].
     pub fn new(scene: &Scene, options: DenseOptions, progress: &Progress) -> Result<Dense> {
         scene.require_diffuse("a matrix of form factors")?;
+        scene.require_distinct("a matrix of form factors")?;
         Accuracy::new(options.tolerance)?;
         let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
         let n = scene.len();

@@ -71,10 +71,11 @@ impl Goal for Rows<'_> {
 /// Computes the links of a scene.
 ///
 /// # Errors
-/// [`crate::Error::Invalid`] for a tolerance out of range, [`crate::Error::Memory`] when not even the patches fit,
+/// [`crate::Error::Invalid`] for a tolerance out of range or a patch that is there twice, [`crate::Error::Memory`] when not even the patches fit,
 /// [`crate::Error::Interrupted`].
 pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Progress) -> Result<(Links, Reached)> {
     scene.require_diffuse("hierarchical radiosity")?;
+    scene.require_distinct("hierarchical radiosity")?;
     Accuracy::new(options.tolerance)?;
     let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
     let blockers = Blockers::of_scene(scene);

@@ -69,9 +69,10 @@ impl<'a> Solver<'a> {
     /// For a scene with what blocks in it; `memory` bytes for elements and links.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a scene without a finite solution, [`Error::Memory`] when not even the patches fit.
+    /// [`Error::Invalid`] for a scene without a finite solution or with a patch twice, [`Error::Memory`] when not even the patches fit.
     pub fn new(scene: &'a Scene, blockers: &'a Blockers, seed: u64, memory: u64) -> Result<Solver<'a>> {
         scene.require_diffuse("hierarchical radiosity")?;
+        scene.require_distinct("hierarchical radiosity")?;
         let is_closed = is_closed(scene, seed);
         let bands = scene.bands();
         let is_white = |b: usize| scene.reflectance().iter().skip(b).step_by(bands).all(|rho| *rho == 1.0);

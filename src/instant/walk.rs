@@ -43,7 +43,7 @@ const BYTES: u64 = 256;
 /// At most `count` lights, as nearly as the walk allows.
 ///
 /// # Errors
-/// [`Error::Invalid`] for no lights, or a scene that emits nothing; [`Error::Memory`]; [`Error::Interrupted`].
+/// [`Error::Invalid`] for no lights, a scene that emits nothing, or one with a patch twice; [`Error::Memory`]; [`Error::Interrupted`].
 pub fn virtual_lights(
     scene: &Scene,
     tree: &Bvh,
@@ -53,6 +53,7 @@ pub fn virtual_lights(
     progress: &Progress,
 ) -> Result<Lights> {
     scene.require_diffuse("instant radiosity")?;
+    scene.require_distinct("instant radiosity")?;
     if count == 0 || u32::try_from(count).is_err() {
         return Err(Error::Invalid(format!("the number of lights, {count}, is outside 1 .. {}", u32::MAX)));
     }

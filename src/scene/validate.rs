@@ -152,17 +152,33 @@ pub(super) fn scene(scene: &Scene) -> Result<()> {
     Error::from_problems(problems)
 }
 
+/// A position as a key. Adding 0.0 makes -0.0 and 0.0 the same.
+fn position(scene: &Scene, vertex: u32) -> [u64; 3] {
+    scene.vertices[vertex as usize].to_array().map(|x| (x + 0.0).to_bits())
+}
+
+/// The first patch with the corners of an earlier one in the same orientation, after that one.
+pub(super) fn repeated(scene: &Scene) -> Option<[usize; 2]> {
+    let mut known = HashMap::with_capacity(scene.len());
+    (0..scene.len()).find_map(|i| {
+        let mut corners = scene.faces[i].map(|v| position(scene, v));
+        // Where a patch starts says nothing; which way it goes round does.
+        let least = (0..3).min_by_key(|&k| corners[k])?;
+        corners.rotate_left(least);
+        let first = *known.entry(corners).or_insert(i);
+        (first != i).then_some([first, i])
+    })
+}
+
 /// Whether the patches enclose their fronts: every edge is shared by as many patches in one direction as in the other
 /// (corners compared by position), and the signed volume says that the fronts look inward. A closed body seen from outside
 /// loses its light to the surroundings; one of two-sided patches is closed whichever way it is wound.
 fn is_closed(scene: &Scene) -> bool {
     let fronts = if scene.mirrored { &scene.faces[..scene.len() / 2] } else { &scene.faces[..] };
-    // Adding 0.0 makes -0.0 and 0.0 the same position.
-    let key = |v: u32| scene.vertices[v as usize].to_array().map(|x| (x + 0.0).to_bits());
     let mut balance: HashMap<_, i64> = HashMap::new();
     for face in fronts {
         for k in 0..3 {
-            let (a, b) = (key(face[k]), key(face[(k + 1) % 3]));
+            let (a, b) = (position(scene, face[k]), position(scene, face[(k + 1) % 3]));
             if a < b {
                 *balance.entry((a, b)).or_default() += 1;
             } else {

@@ -126,6 +126,21 @@ fn zero_area_is_judged_by_the_shape_not_by_the_size() {
 }
 
 #[test]
+fn a_patch_that_repeats_another_is_named_and_its_back_is_not() {
+    let plate =
+        |faces: &[[i64; 3]]| Mesh { vertices: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z], faces: faces.to_vec() };
+    let distinct = plate(&[[0, 1, 2], [0, 2, 1], [0, 1, 3]]).scene();
+    assert!(distinct.require_distinct("this").is_ok());
+    // Wherever it starts, and whichever of several vertices in one place it names.
+    let mut again = plate(&[[0, 1, 2], [0, 1, 3], [4, 0, 1]]);
+    again.vertices.push(vec3(0.0, 1.0, -0.0));
+    assert_says(
+        &again.scene().require_distinct("this").unwrap_err().to_string(),
+        &["patch 2 repeats patch 0, corner by corner, and this would count the light of both"],
+    );
+}
+
+#[test]
 fn both_sides_double_and_reverse() {
     let mesh = two_plates(2);
     let n = mesh.faces.len();
