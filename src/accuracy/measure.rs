@@ -180,7 +180,7 @@ impl<'a> Measure<'a> {
     /// 1 / (1 - rho) times, nothing is left. So is nothing of it in what is known of the other errors. Only where most is absorbed
     /// after a bounce: in a dark room what is left for the bounced light has the error of the direct light, many times over.
     pub(super) fn balance(&mut self, base: &Tally, direct: &Direct) {
-        if self.base.is_empty() || base.lost.iter().any(|lost| *lost > 0) || direct.loses_caustics() {
+        if self.base.is_empty() || base.lost.iter().any(|lost| *lost > 0) {
             return;
         }
         let (scene, bands) = (self.mesh.scene, self.bands());

@@ -185,7 +185,9 @@ impl<'a> Transport<'a> {
         let cast = self.ground.lamps.light(&points, &self.ground.blockers, numbers, in_view, out);
         for (arrival, out) in arrivals.iter().zip(out.chunks_exact_mut(bands)) {
             let j = arrival.point.patch as usize;
-            self.direct.add_caustics(j, out);
+            // The base and the probe, scramble by scramble, so that the spread of these knows that of caustics.
+            let scramble = samples[arrival.ray].scramble as usize;
+            self.direct.add_caustics(j, (scramble < PILOT).then_some(scramble % SCRAMBLES), out);
             out.iter_mut().zip(&self.scene.reflectance()[j * bands..]).for_each(|(out, rho)| *out *= rho);
             self.ground.lamps.add_glow(j, out);
         }

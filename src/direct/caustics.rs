@@ -6,7 +6,7 @@
 //!
 //!   power = E_l w(y, z) A / p_l    arrives where the ray ends,    H_i += power / (A_i m)
 //!
-//! for m rays, with the weight w of a point z of the lamp as in [`super::lamp`]. What flat mirrors show of lamps once is known in
+//! for m rays, with the weight w of a point z of the lamp as in [`super::lamp`], and where it falls on mirrors on its way. What flat mirrors show of lamps once is known in
 //! closed form ([`super::mirrors`]): rays from lamps do not start there, those from images of lamps do.
 //!
 //! Known as patch averages only: a patch is lit evenly by them.
@@ -15,14 +15,14 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::lamp::Point;
+use super::lamp::{Lamp, Point};
 use super::lamps::Lamps;
 use super::{SCRAMBLES, Surroundings};
 use crate::error::Result;
 use crate::geometry::sampling::{Sobol, barycentric, hash, point_in_triangle};
 use crate::progress::Progress;
 use crate::scene::{Material, Scene};
-use crate::visibility::specular::{End, chosen, follow};
+use crate::visibility::specular::{End, chosen, follow_past_mirrors};
 use crate::visibility::{Hit, NO_PATCH, Ray, Segment};
 
 /// Of random numbers, apart from those of patches and lamps.
@@ -31,6 +31,8 @@ const STREAM: u64 = u64::MAX;
 const FIRST_TURN: u32 = u32::MAX;
 /// Rays that are followed together.
 const TOGETHER: u32 = 1024;
+/// Rays whose ends are kept until they are summed up.
+const AT_ONCE: usize = 1 << 20;
 
 /// A side of a specular patch.
 #[derive(Debug, Clone, Copy)]
@@ -80,8 +82,8 @@ impl Starts {
 /// The light of caustics, by scramble.
 #[derive(Debug, Clone)]
 pub struct Caustics {
-    /// Where rays from lamps start, and those from images of lamps.
-    starts: [Starts; 2],
+    /// Where rays from lamps start, and after it for every mirror those from the images in it.
+    starts: Vec<Starts>,
     /// Of the lamps, their share of the rays summed up.
     cumulated: Vec<f64>,
     bands: usize,
@@ -91,7 +93,12 @@ pub struct Caustics {
     pub rays: u32,
 }
 
-/// What ends on a patch: its number, that of the lamp, and the power per unit of emission.
+/// Which of the starts belong to a lamp.
+fn start_of(lamp: &Lamp) -> usize {
+    lamp.mirror.map_or(0, |mirror| mirror + 1)
+}
+
+/// What falls on a patch: its number, that of the lamp, and the power per unit of emission.
 type Deposit = (u32, u32, f64);
 
 impl Caustics {
@@ -101,11 +108,17 @@ impl Caustics {
             return None;
         }
         let is_flat_mirror = |i: usize| lamps.reflects.get(i).is_some_and(|reflects| *reflects);
-        let starts = [Starts::new(scene, |i| !is_flat_mirror(i)), Starts::new(scene, |_| true)];
+        let of_images = |patches: &[u32]| {
+            let mut is_own = vec![false; scene.len()];
+            patches.iter().for_each(|&i| is_own[i as usize] = true);
+            Starts::new(scene, |i| !is_own[i])
+        };
+        let mut starts = vec![Starts::new(scene, |i| !is_flat_mirror(i))];
+        starts.extend(lamps.mirrors().map(of_images));
         let mut sum = 0.0;
         let cumulated: Vec<f64> = (0..lamps.lamps.len())
             .map(|l| {
-                sum += lamps.power(l) * lamps.lamps[l].area() * starts[lamps.is_image(l)].area();
+                sum += lamps.power(l) * lamps.lamps[l].area() * starts[start_of(&lamps.lamps[l])].area();
                 sum
             })
             .collect();
@@ -128,18 +141,20 @@ impl Caustics {
         for s in 0..SCRAMBLES {
             let sobol: Sobol<6> = Sobol::new(hash(seed ^ hash(STREAM)).wrapping_add(s as u64));
             let firsts: Vec<u32> = (self.rays..wanted).step_by(TOGETHER as usize).collect();
-            let found: Result<Vec<Vec<Deposit>>> = firsts
-                .into_par_iter()
-                .map(|first| {
-                    progress.advance(0)?;
-                    Ok(self.cast(surroundings, &sobol, first..wanted.min(first + TOGETHER)))
-                })
-                .collect();
-            for (patch, lamp, power) in found?.into_iter().flatten() {
-                let at = (patch as usize * SCRAMBLES + s) * self.bands;
-                let area = scene.areas()[patch as usize];
-                let sums = self.sums[at..][..self.bands].iter_mut();
-                sums.zip(&lamps.lamps[lamp as usize].emission).for_each(|(sum, e)| *sum += e * power / area);
+            for firsts in firsts.chunks(AT_ONCE / TOGETHER as usize) {
+                let found: Result<Vec<Vec<Deposit>>> = firsts
+                    .par_iter()
+                    .map(|&first| {
+                        progress.advance(0)?;
+                        Ok(self.cast(surroundings, &sobol, first..wanted.min(first + TOGETHER)))
+                    })
+                    .collect();
+                for (patch, lamp, power) in found?.into_iter().flatten() {
+                    let at = (patch as usize * SCRAMBLES + s) * self.bands;
+                    let area = scene.areas()[patch as usize];
+                    let sums = self.sums[at..][..self.bands].iter_mut();
+                    sums.zip(&lamps.lamps[lamp as usize].emission).for_each(|(sum, e)| *sum += e * power / area);
+                }
             }
         }
         self.rays = self.rays.max(wanted);
@@ -155,7 +170,7 @@ impl Caustics {
             let [choice, which, u, v, a, b] = sobol.point(k);
             let l = self.cumulated.partition_point(|sum| *sum <= choice * whole).min(self.cumulated.len() - 1);
             let probability = (self.cumulated[l] - if l > 0 { self.cumulated[l - 1] } else { 0.0 }) / whole;
-            let starts = &self.starts[lamps.is_image(l)];
+            let starts = &self.starts[start_of(&lamps.lamps[l])];
             if !(probability > 0.0) {
                 continue;
             }
@@ -185,9 +200,12 @@ impl Caustics {
                 rays.push(ray);
             }
         }
-        let ends = follow(scene, tree, &rays);
-        let deposit = |((lamp, power), end): ((u32, f64), End)| end.arrival().map(|at| (at.hit.patch, lamp, power));
-        of.into_iter().zip(ends).filter_map(deposit).collect()
+        let mut deposits = Vec::new();
+        let at_mirror = |k: usize, patch: u32| deposits.push((patch, of[k].0, of[k].1));
+        let ends = follow_past_mirrors(scene, tree, &rays, at_mirror);
+        let at_end = |(&(lamp, power), end): (&(u32, f64), End)| end.arrival().map(|at| (at.hit.patch, lamp, power));
+        deposits.extend(of.iter().zip(ends).filter_map(at_end));
+        deposits
     }
 
     /// out_b += the irradiance of patch i by scramble `s`.

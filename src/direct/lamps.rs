@@ -171,9 +171,9 @@ impl Lamps {
         segments.len()
     }
 
-    /// 1 for the image of a lamp in a mirror, 0 for a lamp.
-    pub(super) fn is_image(&self, l: usize) -> usize {
-        usize::from(self.lamps[l].mirror.is_some())
+    /// The mirrors in which lamps have images, each by its patches.
+    pub(super) fn mirrors(&self) -> impl Iterator<Item = &[u32]> {
+        self.mirrors.iter().map(|mirror| mirror.patches.as_slice())
     }
 
     /// Whether every point sees all of the lamps that shine on it.

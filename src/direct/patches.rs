@@ -16,7 +16,6 @@ use crate::error::Result;
 use crate::form_factor::{Accuracy, Batch, Shape};
 use crate::geometry::sampling::{Sobol, hash, point_in_triangle};
 use crate::progress::Progress;
-use crate::scene::Material;
 use crate::visibility::{NO_PATCH, Segment};
 
 /// Share of the segments that watch lamps on which all segments have agreed so far: a sliver of a shadow escapes a few.
@@ -208,7 +207,7 @@ impl<'a> Direct<'a> {
         for view in &self.views[i] {
             self.add(view, view.fraction(), out);
         }
-        self.add_caustics(i, out);
+        self.add_caustics(i, None, out);
     }
 
     /// The same as scramble `s` alone has it; the mean of all is [`Direct::irradiance`].
@@ -216,22 +215,15 @@ impl<'a> Direct<'a> {
         for view in &self.views[i] {
             self.add(view, view.of_scramble(s), out);
         }
-        if let Some(caustics) = &self.caustics {
-            caustics.add_of_scramble(i, s, out);
-        }
+        self.add_caustics(i, Some(s), out);
     }
 
-    /// Whether mirrors take light of the lamps of which nothing is known: what ends in them on its way as a caustic.
-    pub fn loses_caustics(&self) -> bool {
-        let scene = self.surroundings.scene;
-        let absorbs = |i: usize| matches!(scene.material(i), Material::Mirror(reflected) if reflected < 1.0);
-        self.caustics.is_some() && (0..scene.len()).any(absorbs)
-    }
-
-    /// The part of H of patch i that comes by way of glass and bent mirrors, added to `out`.
-    pub fn add_caustics(&self, i: usize, out: &mut [f64]) {
-        if let Some(caustics) = &self.caustics {
-            caustics.add(i, out);
+    /// The part of H of patch i that comes by way of glass and bent mirrors, added to `out`, as scramble `s` alone has it, or all.
+    pub fn add_caustics(&self, i: usize, s: Option<usize>, out: &mut [f64]) {
+        match (&self.caustics, s) {
+            (None, _) => {}
+            (Some(caustics), None) => caustics.add(i, out),
+            (Some(caustics), Some(s)) => caustics.add_of_scramble(i, s, out),
         }
     }
 

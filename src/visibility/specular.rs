@@ -64,6 +64,11 @@ pub struct Branch {
 
 /// Follows rays until they end. `tree` must hold all patches of the scene.
 pub fn follow(scene: &Scene, tree: &Bvh, rays: &[Ray]) -> Vec<End> {
+    follow_past_mirrors(scene, tree, rays, |_, _| {})
+}
+
+/// The same; `at_mirror` hears the number of the ray and the patch whenever one falls on a mirror.
+pub fn follow_past_mirrors(scene: &Scene, tree: &Bvh, rays: &[Ray], mut at_mirror: impl FnMut(usize, u32)) -> Vec<End> {
     let mut ends = vec![End::Lost; rays.len()];
     let mut under_way: Vec<(usize, Ray, f64)> = rays.iter().enumerate().map(|(k, ray)| (k, *ray, 0.0)).collect();
     let mut turns = 0;
@@ -80,10 +85,15 @@ pub fn follow(scene: &Scene, tree: &Bvh, rays: &[Ray]) -> Vec<End> {
                 Material::Diffuse => {
                     ends[k] = End::Arrived(Arrival { hit, distance });
                 }
-                _ => match chosen(scene, &ray, &hit, turns) {
-                    Some(ray) if turns < MOST => on.push((k, ray, distance)),
-                    _ => ends[k] = End::Absorbed,
-                },
+                material => {
+                    if matches!(material, Material::Mirror(_)) {
+                        at_mirror(k, hit.patch);
+                    }
+                    match chosen(scene, &ray, &hit, turns) {
+                        Some(ray) if turns < MOST => on.push((k, ray, distance)),
+                        _ => ends[k] = End::Absorbed,
+                    }
+                }
             }
         }
         under_way = on;
