@@ -67,6 +67,11 @@ impl<'a> Balanced<'a> {
         Balanced { links, given, left }
     }
 
+    /// What is taken away from the leaf of row r of light that is 1 everywhere, because its row would sum to more than 1.
+    pub fn taken(&self, r: usize) -> f64 {
+        (-self.given[self.first(r)]).max(0.0)
+    }
+
     /// The first row of the leaf of row r.
     fn first(&self, r: usize) -> usize {
         r - self.links.rows()[r].1 as usize

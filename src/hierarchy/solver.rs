@@ -59,6 +59,8 @@ pub struct Solver<'a> {
     pub link_error: f64,
     /// The part of it that no refinement lowers: of links between elements that are not cut.
     final_error: f64,
+    /// How many those are.
+    final_links: u64,
     /// What refinement has done.
     pub done: Done,
     /// Of the last solve.
@@ -99,6 +101,7 @@ impl<'a> Solver<'a> {
             irradiance: Vec::new(),
             link_error: f64::INFINITY,
             final_error: 0.0,
+            final_links: 0,
             done: Done::default(),
             history: Vec::new(),
         })
@@ -132,6 +135,8 @@ impl<'a> Solver<'a> {
                     ));
                 }
             } else if self.final_error > target {
+                // Together they are wrong by too much, though each alone may be allowed.
+                self.done.stopped = self.final_links;
                 break;
             }
         }
@@ -155,6 +160,7 @@ impl<'a> Solver<'a> {
             let is_final = |link: &&Link| is_final(&self.links.tree, &self.light, link.p as usize, link.q as usize);
             self.link_error = self.light.error(links.iter()) * grown;
             self.final_error = self.light.error(links.iter().filter(is_final)) * grown;
+            self.final_links = links.iter().filter(is_final).filter(|link| link.exchange.error() > 0.0).count() as u64;
         } else {
             self.light.follow(&self.links.tree);
         }
@@ -183,18 +189,23 @@ impl<'a> Solver<'a> {
         let irradiance = arriving.remove(0);
         let mut first = vec![0.0; emission.len()];
         balanced.apply(&emission, bands, &mut first);
-        let power = |h: &[f64], b: usize| -> f64 {
+        // `share` of what a leaf reflects of H in band b, together.
+        let power = |h: &[f64], b: usize, share: &dyn Fn(usize, f64) -> f64| -> f64 {
             let of_row = |(r, row): (usize, &(u32, u32))| {
                 let area = if row.1 == 0 { links.tree.nodes[row.0 as usize].area } else { 0.0 };
-                area * reflectance[r * bands + b] * h[r * bands + b]
+                let rho = reflectance[r * bands + b];
+                area * rho * h[r * bands + b] * share(r, rho)
             };
             links.rows().iter().enumerate().map(of_row).sum()
         };
         self.amplification = 0.0;
         for b in 0..bands {
-            let [first, all] = [&first, &irradiance].map(|h| power(h, b));
-            // Bounces only add. Beyond the pole of 1 / (1 - rho F), where they would grow without end, there is a solution too.
-            if !(all >= (1.0 - ROUNDING) * first) {
+            let all = power(&irradiance, b, &|_, _| 1.0);
+            // Bounces only add, but for what is taken away from leaves. Beyond the pole of 1 / (1 - rho F), where they would
+            // grow without end, there is a solution too.
+            let least = power(&first, b, &|r, rho| 1.0 / (1.0 + rho * balanced.taken(r)));
+            let first = power(&first, b, &|_, _| 1.0);
+            if !(all >= (1.0 - ROUNDING) * least) {
                 return Ok(false);
             }
             if !self.surroundings.is_closed {

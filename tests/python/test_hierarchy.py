@@ -162,6 +162,20 @@ def test_a_sliver_is_not_refined_for_ever():
     assert 0.5 < solution.irradiance[:2].mean() < 1.0
 
 
+def test_a_narrow_fold_is_no_light_that_grows():
+    # Infinite plates with a common edge exchange 1 - sin(angle / 2) (Hottel's crossed strings); of square ones a little
+    # leaves at the ends, half a degree high.
+    angle = np.radians(1.0)
+    vertices = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [np.cos(angle), 0, np.sin(angle)]]
+    vertices.append([np.cos(angle), 1, np.sin(angle)])
+    faces = [[0, 1, 2], [0, 2, 3], [0, 5, 4], [0, 3, 5]]
+    scene = rad.Scene(vertices, faces, [[0.0], [0.0], [0.5], [0.5]], [[1.0], [1.0], [0.0], [0.0]])
+    solution = rad.solve(scene, 0.2, "hierarchical", progress=False)
+    straight = 1.0 - np.sin(0.5 * angle)
+    assert solution.irradiance[2:].mean() == pytest.approx(straight, rel=0.2)
+    assert solution.error_estimate <= 0.2
+
+
 def test_a_small_lamp_in_a_large_hall():
     size, lamp = 100.0, 0.01
     walls = [
