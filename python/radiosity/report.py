@@ -7,8 +7,8 @@ orientation disagrees with the larger area of their connected piece are taken fo
 if every edge is run through as often in one direction as in the other.
 
 Limits. A T-junction counts as a hole, because its edges do not match. Patches that overlap without having the same
-three corners, or that pass through each other, are not found. Nothing here is exact for two pieces that touch at
-vertices only: they are judged apart.
+three corners, or that pass through each other, are found only where one of them is glass. Nothing here is exact for
+two pieces that touch at vertices only: they are judged apart.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from . import _core
-from .arrays import FloatArray, IntArray
+from .arrays import IntArray
+from .glass import glass_hints
+from .neighbours import coincident, examine_edges, position_index
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -153,13 +154,13 @@ def report(scene: Scene) -> Report:
     height = 2.0 * areas / longest
     degenerate = np.flatnonzero((height < _THINNEST * size.max()) | (longest > _NEEDLE * height))
 
-    places = _position_index(vertices)[faces]
+    places = position_index(vertices)[faces]
     half = n // 2
     both_sides = n % 2 == 0 and bool(np.array_equal(places[half:], places[:half][:, [0, 2, 1]]))
     fronts = places[:half] if both_sides else places
-    duplicates, pairs = _coincident(fronts)
+    duplicates, pairs = coincident(fronts)
     kept = np.delete(np.arange(len(fronts)), duplicates)
-    edges = _edges(fronts[kept], areas[kept])
+    edges = examine_edges(fronts[kept], areas[kept])
 
     middle = used.mean(axis=0)
     a, b, c = np.moveaxis(corners[kept] - middle, 1, 0)
@@ -213,133 +214,10 @@ def _hints(scene: Scene, found: Report) -> list[str]:
     perfect = np.flatnonzero((scene.reflectance == 1.0).any(axis=1))
     if len(perfect):
         hints.append(f"reflecting all light (reflectance 1), as no real surface does: {who(perfect)}")
-    glass = np.flatnonzero(scene.ior > 0.0)
-    if len(glass):
-        corners = scene.vertices[scene.faces[glass]]
-        a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
-        closed = _edges(_position_index(scene.vertices)[scene.faces[glass]], scene.areas[glass]).closed
-        if not closed or np.einsum("ij,ij->", a, np.cross(b, c)) <= 0.0:
-            hints.append(f"glass that is no closed body with its front outside: {who(glass)}; light in it goes astray")
+    hints += glass_hints(scene, who)
     if not any(found.emitted_power):
         hints.append("no patch emits: the solution is zero everywhere")
     return hints
-
-
-# ------------------------------------------------------------------------------------------------------------ geometry
-
-
-def _position_index(vertices: FloatArray) -> IntArray:
-    """Return for each of the (V, 3) vertices a number that is the same exactly for equal positions."""
-    places = vertices + 0.0  # -0.0 and 0.0 are one position
-    order = np.lexsort(places.T)
-    ordered = places[order]
-    new = np.ones(len(places), dtype=np.int64)
-    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    index = np.empty(len(places), dtype=np.int64)
-    index[order] = np.cumsum(new) - 1
-    return index
-
-
-def _coincident(places: IntArray) -> tuple[IntArray, IntArray]:
-    """Find patches with the same three corners.
-
-    Returns:
-        Those that repeat an earlier one in the same orientation, and (k, 2) pairs in opposite orientation.
-
-    """
-    corners = np.sort(places, axis=1)
-    # Even permutations of the sorted corners have one orientation, odd ones the other.
-    a, b, c = places.T
-    inversions = (a > b).astype(np.int64) + (a > c) + (b > c)
-    orientation = inversions % 2
-    order = np.lexsort((orientation, corners[:, 2], corners[:, 1], corners[:, 0]))  # stable: earlier patches first
-    same = (corners[order][1:] == corners[order][:-1]).all(axis=1)
-    turned = orientation[order][1:] != orientation[order][:-1]
-    duplicates = np.sort(order[1:][same & ~turned])
-
-    # The first patch of the second orientation follows the last one of the first: pair it with the first one.
-    second = np.flatnonzero(same & turned) + 1
-    starts = np.flatnonzero(np.concatenate([[True], ~same]))
-    first = starts[np.searchsorted(starts, second, side="right") - 1]
-    pairs = np.sort(np.column_stack([order[first], order[second]]), axis=1)
-    return duplicates, pairs[np.argsort(pairs[:, 0])]
-
-
-@dataclass(frozen=True)
-class _Edges:
-    closed: bool
-    boundary: int
-    nonmanifold: int
-    inconsistent: int
-    flipped: npt.NDArray[np.bool_]
-
-
-def _edges(places: IntArray, areas: FloatArray) -> _Edges:
-    """Examine the edges of patches whose corners are numbered by position; `flipped` has one entry a patch."""
-    start, end = places.reshape(-1), np.roll(places, -1, axis=1).reshape(-1)
-    patch = np.repeat(np.arange(len(places)), 3)
-    key = np.minimum(start, end) * (places.max() + 1) + np.maximum(start, end)
-    order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.concatenate([[True], key[order][1:] != key[order][:-1]]))
-    uses = np.diff(np.append(first, len(key)))
-    direction = np.where(start < end, 1, -1)[order]
-    balance = np.add.reduceat(direction, first)
-
-    shared = first[uses == 2]
-    left, right = patch[order[shared]], patch[order[shared + 1]]
-    conflict = direction[shared] == direction[shared + 1]
-    inconsistent = int(np.count_nonzero(conflict))
-    flipped = _flipped(areas, left, right, conflict) if inconsistent else np.zeros(len(places), dtype=np.bool_)
-    return _Edges(
-        closed=not balance.any(),
-        boundary=int(np.count_nonzero(uses == 1)),
-        nonmanifold=int(np.count_nonzero(uses > 2)),
-        inconsistent=inconsistent,
-        flipped=flipped,
-    )
-
-
-def _flipped(
-    areas: FloatArray, left: IntArray, right: IntArray, conflict: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.bool_]:
-    """Tell which patches disagree with the larger area of their connected piece.
-
-    Every patch enters twice, as it is (i) and reversed (i + n). A consistent edge joins i to j and i + n to j + n, a
-    conflicting one i to j + n and i + n to j. A piece that can be oriented then falls into two parts, mirror images of
-    each other; which part holds a patch as it is tells its side.
-    """
-    n = len(areas)
-    a = np.concatenate([left, left + n])
-    b = np.concatenate([right + n * conflict, right + n * ~conflict])
-    part = _connected(2 * n, a, b)
-    piece = np.minimum(part[:n], part[n:])
-    side = (part[:n] > part[n:]).astype(np.int64)
-    area = np.bincount(2 * piece + side, weights=areas, minlength=4 * n).reshape(-1, 2)[piece]
-    orientable = part[:n] != part[n:]
-    # Side 0 holds the piece's first patch and wins a tie; sums of areas are equal to rounding only.
-    smaller = np.where(area[:, 0] >= area[:, 1] * (1.0 - 1e-9), 1, 0)
-    flipped: npt.NDArray[np.bool_] = orientable & (side == smaller)
-    return flipped
-
-
-def _connected(n: int, a: IntArray, b: IntArray) -> IntArray:
-    """Give each of n nodes the smallest node of its connected component; a-b are the edges.
-
-    Every root that has a smaller neighbour is hung below it, then all paths are shortened to their roots; each round
-    at least halves the roots that can still be joined (after Shiloach & Vishkin 1982).
-    """
-    root = np.arange(n)
-    while len(a):
-        low, high = np.minimum(root[a], root[b]), np.maximum(root[a], root[b])
-        np.minimum.at(root, high, low)
-        while True:
-            above = root[root]
-            if np.array_equal(above, root):
-                break
-            root = above
-        apart = root[a] != root[b]
-        a, b = a[apart], b[apart]
-    return root
 
 
 # ---------------------------------------------------------------------------------------------------------------- text

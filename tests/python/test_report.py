@@ -206,7 +206,7 @@ def test_a_large_shuffled_sheet() -> None:
     assert found.boundary_edges == 4 * side
 
 
-def test_mirrors_and_glass_are_counted_and_open_glass_is_told():
+def test_mirrors_and_glass_are_counted_and_glass_is_looked_at():
     scene = rad.scenes.mirror_and_glass(facets=1)
     report = scene.report()
     assert (report.mirrors, report.glass) == (2, 80)
@@ -219,6 +219,4 @@ def test_mirrors_and_glass_are_counted_and_open_glass_is_told():
         np.delete(scene.faces, last, axis=0),
         **{name: np.delete(values, last, axis=0) for name, values in parts.items()},
     )
-    reversed_faces = np.where((scene.ior > 0.0)[:, None], scene.faces[:, ::-1], scene.faces)
-    for wrong in (holed, rad.Scene(scene.vertices, reversed_faces, **parts)):
-        assert any("no closed body with its front outside" in hint for hint in wrong.report().hints)
+    assert any("glass that is no closed body" in hint for hint in holed.report().hints)
