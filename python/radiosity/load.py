@@ -10,17 +10,20 @@ that a mirroring transform reverses the triangles, so that the front stays the f
 
 Colours become reflectance and emissive colours emission as `radiosity.materials` says; in short:
 
-    glTF       base colour factor x texture x vertex colours (linear); E = pi x emissive factor x emissive strength
+    glTF       base colour factor x texture x vertex colours (linear); E = pi x emissive factor x emissive strength;
+               polished metal is a mirror, smooth material that lets all light through is glass
     OBJ, MTL   Kd x map_Kd (Kd linear); E = pi x Ke
     PLY        face colours, or the mean of the vertex colours (sRGB)
     STL        no materials
 
 Where a file states no colour, reflectance is 0.5 and emission 0. glTF's own default is a white that reflects all
 light. Writers leave it out both for white and for "nobody chose a colour", and no real surface is that white, so a
-material without a base colour counts as stating none. A factor that is written, 1.0 included, is kept as it is.
+material without a base colour counts as stating none (as a mirror, it sends back all light). A factor that is written,
+1.0 included, is kept as it is.
 
-Limits. Every patch has one side, the front, whatever a file says about double-sided materials. Animations, skins,
-morph targets and punctual lights are left out.
+Limits. Every patch has one side, the front, whatever a file says about double-sided materials. Glass is read as the
+skin of a closed body, also where a file means a thin sheet: `Scene.report` tells where it is not closed. Animations,
+skins, morph targets and punctual lights are left out.
 """
 
 from __future__ import annotations
@@ -61,7 +64,7 @@ def load(path: str | os.PathLike[str]) -> Scene:
 
     Warns:
         UserWarning: something in the file that bears on light is left out (a missing material file, lights, texture
-            transforms).
+            transforms, the gloss of metal, the tint of mirrors and glass).
 
     """
     if not isinstance(path, (str, os.PathLike)):
@@ -125,7 +128,13 @@ def _read_mitsuba(file: Path) -> Scene:
         raise ValueError(f"{file}: {error}") from error
 
 
-def from_trimesh(mesh: Any, reflectance: npt.ArrayLike | None = None, emission: npt.ArrayLike | None = None) -> Scene:
+def from_trimesh(
+    mesh: Any,
+    reflectance: npt.ArrayLike | None = None,
+    emission: npt.ArrayLike | None = None,
+    mirror: npt.ArrayLike | None = None,
+    ior: npt.ArrayLike | None = None,
+) -> Scene:
     """Make a scene from a `trimesh.Trimesh` or a `trimesh.Scene`.
 
     The meshes of a `trimesh.Scene` are put in their places, once for every node that shows them, in the order of its
@@ -134,9 +143,12 @@ def from_trimesh(mesh: Any, reflectance: npt.ArrayLike | None = None, emission: 
 
     Args:
         mesh: n triangles in all, lengths in m.
-        reflectance: scalar | (b,) | (n, b) in [0, 1]; None takes it from the materials, 0.5 where there is none.
+        reflectance: scalar | (b,) | (n, b) in [0, 1]; None takes it from the materials, 0.5 where there is none. Where
+            it is given, no material makes a mirror.
         emission: scalar | (b,) | (n, b) in W/m^2; None takes it from the materials (pi times the emissive factor), 0
             where there is none.
+        mirror: scalar | (n,) in [0, 1]; None takes it from the materials (polished metal), 0 where there is none.
+        ior: scalar | (n,), nan for what is no glass; None for no glass, of which trimesh's materials do not tell.
 
     Returns:
         The scene; `names` holds the node (of a single mesh: its metadata's "name", else "mesh") of each patch.
@@ -145,19 +157,25 @@ def from_trimesh(mesh: Any, reflectance: npt.ArrayLike | None = None, emission: 
         TypeError: `mesh` is neither a Trimesh nor a trimesh Scene.
         ValueError: no triangles, a node that is no triangle mesh, or values that `Scene` refuses.
 
+    Warns:
+        UserWarning: a material that is taken and is neither diffuse nor what `radiosity.materials` reads as a mirror.
+
     """
     import trimesh
 
-    if isinstance(mesh, trimesh.Trimesh):
-        name = str(mesh.metadata.get("name") or "mesh")
-        return joined_scene([part_of(name, mesh)], reflectance, emission)
-    if not isinstance(mesh, trimesh.Scene):
-        raise TypeError(f"expected a trimesh.Trimesh or trimesh.Scene, not {type(mesh).__name__}")
     parts = []
-    for node in mesh.graph.nodes_geometry:
-        matrix, geometry = mesh.graph[node]
-        parts.append(part_of(str(node), triangles_only(mesh.geometry[geometry], str(node)), matrix=matrix))
-    return joined_scene(parts, reflectance, emission)
+    if isinstance(mesh, trimesh.Trimesh):
+        parts.append(part_of(str(mesh.metadata.get("name") or "mesh"), mesh))
+    elif isinstance(mesh, trimesh.Scene):
+        for node in mesh.graph.nodes_geometry:
+            matrix, geometry = mesh.graph[node]
+            parts.append(part_of(str(node), triangles_only(mesh.geometry[geometry], str(node)), matrix=matrix))
+    else:
+        raise TypeError(f"expected a trimesh.Trimesh or trimesh.Scene, not {type(mesh).__name__}")
+    if reflectance is None and mirror is None:
+        for remark in dict.fromkeys(remark for part in parts for remark in part.surface.remarks):
+            warnings.warn(remark, UserWarning, stacklevel=2)
+    return joined_scene(parts, reflectance, emission, mirror, ior)
 
 
 _READERS: dict[str, Callable[[Path, bytes, list[str]], list[Part]]] = {

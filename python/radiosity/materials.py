@@ -2,13 +2,20 @@
 
     reflectance  rho = base colour factor * mean texture * mean vertex colour     (linear, per patch and band R, G, B)
     emission     E   = pi * emissive factor * emissive strength * mean texture    (W/m^2)
+    mirror       the luminance of rho            of polished metal: metalness 1, roughness at most 0.1, no emission
+    ior          that of the material, or 1.5    of clear glass: transmission 1, no metal, roughness at most 0.1
 
 A diffuse surface of radiance L emits E = pi L, and L is what glTF's emissive factor times strength states (in nits,
 cd/m^2; here the number is taken as W/(m^2 sr) per band, so that other renderers of the file show the same picture).
 
-Sources: glTF 2.0 specification (Khronos 2021), section 3.9; KHR_materials_emissive_strength; IEC 61966-2-1 (sRGB).
+A roughness of 0.1 is a microfacet width of 0.01 (its square): a reflection that is blurred by about one degree.
 
-Limits. Every surface is taken as diffuse: metalness, roughness, transparency and normal maps are left out. The mean of
+Sources: glTF 2.0 specification (Khronos 2021), section 3.9; KHR_materials_emissive_strength,
+KHR_materials_transmission, KHR_materials_ior, KHR_materials_volume; IEC 61966-2-1 (sRGB); ITU-R BT.709 (luminance).
+
+Limits. Every other surface is taken as diffuse, and remarks say so where metal or transmission is stated; the gloss of
+other materials, opacity and normal maps are left out. Mirrors are grey, glass is clear. glTF's own default, metal as
+rough as can be, is what a material has that states nothing: it is diffuse, without a remark. The mean of
 a product of textures and colours is taken as the product of the means. Textures are averaged over a patch from the
 box-filtered level at which about 64 texels cover it; they repeat outside [0, 1].
 """
@@ -17,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +34,17 @@ from .arrays import FloatArray, IntArray
 
 DEFAULT_REFLECTANCE = 0.5
 """Reflectance of a surface whose file states no colour."""
+
+# A mirror or glass is as rough as this at most.
+_POLISHED = 0.1
+
+# What counts as all of it: writers round.
+_WHOLE = 0.99
+
+# Of glass whose file states none (KHR_materials_ior).
+_IOR = 1.5
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 # trimesh gives a SimpleMaterial without a diffuse colour this one (RGBA, 8 bits); it then says nothing about the mesh.
 _TRIMESH_NO_COLOUR = (102, 102, 102, 255)
@@ -42,11 +60,19 @@ class Factors:
     Attributes:
         base_colour: linear RGB reflectance in [0, 1].
         emissive: linear RGB radiance, emissive factor times emissive strength, W/(m^2 sr).
+        name: of the material.
+        is_mirror: whether it is polished metal.
+        ior: index of refraction of clear glass.
+        remarks: what of it is left out.
 
     """
 
     base_colour: tuple[float, ...] | None = None
     emissive: tuple[float, ...] | None = None
+    name: str = ""
+    is_mirror: bool = False
+    ior: float | None = None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -56,11 +82,17 @@ class Surface:
     Attributes:
         reflectance: (n, 3) linear RGB.
         emission: (n, 3), W/m^2.
+        mirror: (n,) what is mirrored, 0 for no mirror.
+        ior: (n,) index of refraction, nan for no glass.
+        remarks: what of its materials is left out.
 
     """
 
     reflectance: FloatArray | None = None
     emission: FloatArray | None = None
+    mirror: FloatArray | None = None
+    ior: FloatArray | None = None
+    remarks: tuple[str, ...] = ()
 
 
 def srgb_to_linear(values: npt.ArrayLike) -> FloatArray:
@@ -72,15 +104,48 @@ def srgb_to_linear(values: npt.ArrayLike) -> FloatArray:
 def factors_of_gltf(material: Mapping[str, Any]) -> Factors:
     """Read the exact factors of a glTF material from its JSON.
 
-    trimesh rounds the base colour to 8 bits and drops KHR_materials_emissive_strength, so both are read here.
+    trimesh rounds the base colour to 8 bits and drops the extensions, so all are read here.
     """
+    extensions = material.get("extensions", {})
     base = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
     emissive = material.get("emissiveFactor")
     if emissive is not None:
-        extension = material.get("extensions", {}).get("KHR_materials_emissive_strength", {})
-        strength = float(extension.get("emissiveStrength", 1.0))
+        strength = float(extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0))
         emissive = tuple(float(value) * strength for value in emissive[:3])
-    return Factors(None if base is None else tuple(float(value) for value in base[:3]), emissive)
+    base = None if base is None else tuple(float(value) for value in base[:3])
+    return _finished(Factors(base, emissive, material.get("name") or ""), material)
+
+
+def _finished(factors: Factors, material: Mapping[str, Any]) -> Factors:
+    """Tell from a glTF material whether it is a mirror, clear glass, or taken as diffuse."""
+    name = factors.name
+    stated = material.get("pbrMetallicRoughness", {})
+    metalness, roughness = (float(stated.get(key, 1.0)) for key in ("metallicFactor", "roughnessFactor"))
+    texture = "metallicRoughnessTexture" in stated
+    extensions = material.get("extensions", {})
+    transmission = extensions.get("KHR_materials_transmission", {})
+    passed = float(transmission.get("transmissionFactor", 0.0))
+    polished = roughness <= _POLISHED and not texture
+    lit = factors.emissive is not None and any(factors.emissive)
+    look = f"metalness {metalness:g}, roughness {roughness:g}{' times a texture' if texture else ''}"
+    emits = ", emission" if lit else ""
+
+    # Metal lets no light through, whatever is stated.
+    if passed > 0.0 and metalness < _WHOLE:
+        textured = "transmissionTexture" in transmission
+        if not polished or lit or textured or passed < _WHOLE or metalness > 1.0 - _WHOLE:
+            of = f"transmission {passed:g}{' times a texture' if textured else ''}, {look}{emits}"
+            return replace(factors, remarks=(f"material {name!r} is no clear glass ({of}): it is read as diffuse",))
+        ior = float(extensions.get("KHR_materials_ior", {}).get("ior", _IOR))
+        tints = (factors.base_colour, extensions.get("KHR_materials_volume", {}).get("attenuationColor"))
+        if any(tint is not None and min(tint) < 1.0 for tint in tints) or "baseColorTexture" in stated:
+            return replace(factors, ior=ior, remarks=(f"material {name!r} is tinted glass: it is read as clear",))
+        return replace(factors, ior=ior)
+    if polished and metalness >= _WHOLE and not lit:
+        return replace(factors, is_mirror=True)
+    if metalness > 0.0 and (roughness < 1.0 or texture):
+        return replace(factors, remarks=(f"material {name!r} is no mirror ({look}{emits}): it is read as diffuse",))
+    return factors
 
 
 def surface_of_mesh(mesh: Any, factors: Factors | None = None, *, linear_colours: bool = False) -> Surface:
@@ -100,10 +165,10 @@ def surface_of_mesh(mesh: Any, factors: Factors | None = None, *, linear_colours
     """
     visual = mesh.visual
     colours = _colours(mesh, linear_colours)
+    n = len(mesh.faces)
     if visual.kind != "texture":
-        if factors is None:
-            factors = Factors()
-        return _times_colours(_surface(len(mesh.faces), factors), colours)
+        factors = factors or Factors()
+        return _specular(n, _times_colours(_surface(n, factors), colours), factors)
 
     uv = visual.uv
     corners = None if uv is None or len(uv) != len(mesh.vertices) else np.asarray(uv, dtype=np.float64)[mesh.faces]
@@ -112,7 +177,8 @@ def surface_of_mesh(mesh: Any, factors: Factors | None = None, *, linear_colours
         return _mixed_surface(visual.material.materials, np.asarray(selection), corners)
     if factors is None:
         factors = _factors_of_trimesh(visual.material)
-    return _times_colours(_textured_surface(len(mesh.faces), factors, visual.material, corners), colours)
+    surface = _times_colours(_textured_surface(n, factors, visual.material, corners), colours)
+    return _specular(n, surface, factors)
 
 
 def _surface(n: int, factors: Factors) -> Surface:
@@ -140,34 +206,55 @@ def _textured_surface(n: int, factors: Factors, material: Any, corners: FloatArr
 
 def _mixed_surface(materials: Any, selection: IntArray, corners: FloatArray | None) -> Surface:
     """Return the surface of a mesh whose patch i has the material `selection[i]`."""
-    reflectance = np.full((len(selection), 3), DEFAULT_REFLECTANCE)
-    emission = np.zeros((len(selection), 3))
+    n = len(selection)
+    reflectance, emission = np.full((n, 3), DEFAULT_REFLECTANCE), np.zeros((n, 3))
+    mirror, remarks = np.zeros(n), list[str]()
     for k, material in enumerate(materials):
         rows = np.flatnonzero(selection == k)
-        part = _textured_surface(
-            len(rows), _factors_of_trimesh(material), material, None if corners is None else corners[rows]
-        )
-        if part.reflectance is not None:
-            reflectance[rows] = part.reflectance
-        if part.emission is not None:
-            emission[rows] = part.emission
-    return Surface(reflectance, emission)
+        factors = _factors_of_trimesh(material)
+        part = _textured_surface(len(rows), factors, material, None if corners is None else corners[rows])
+        part = _specular(len(rows), part, factors)
+        for values, stated in ((reflectance, part.reflectance), (emission, part.emission), (mirror, part.mirror)):
+            if stated is not None:
+                values[rows] = stated
+        remarks += part.remarks
+    return Surface(reflectance, emission, mirror, remarks=tuple(remarks))
+
+
+def _specular(n: int, surface: Surface, factors: Factors) -> Surface:
+    """Make a mirror or glass of a surface whose material says so; a mirror without a colour sends all light back."""
+    if factors.ior is not None:
+        return replace(surface, ior=np.full(n, factors.ior), remarks=factors.remarks)
+    if not factors.is_mirror:
+        return replace(surface, remarks=factors.remarks)
+    colour = np.ones((n, 3)) if surface.reflectance is None else surface.reflectance
+    low, high = colour.min(axis=1), colour.max(axis=1)
+    # Between these also after rounding: grey stays what it is.
+    mirror = np.clip(colour @ _LUMINANCE, low, high)
+    remarks = factors.remarks
+    if (low < high).any():
+        remarks += (f"material {factors.name!r} is a mirror of colour: it is read as grey, as bright as it",)
+    return replace(surface, mirror=mirror, remarks=remarks)
 
 
 def _times_colours(surface: Surface, colours: FloatArray | None) -> Surface:
     if colours is None:
         return surface
-    return Surface(colours if surface.reflectance is None else surface.reflectance * colours, surface.emission)
+    return replace(surface, reflectance=colours if surface.reflectance is None else surface.reflectance * colours)
 
 
 def _factors_of_trimesh(material: Any) -> Factors:
     """Read a trimesh PBRMaterial or SimpleMaterial (OBJ: Kd is the reflectance, Ke the radiance, both linear)."""
     if hasattr(material, "baseColorFactor"):
         base, emissive = material.baseColorFactor, material.emissiveFactor
-        return Factors(
+        keys = ("metallicFactor", "roughnessFactor", "metallicRoughnessTexture")
+        finish = {key: value for key in keys if (value := getattr(material, key)) is not None}
+        factors = Factors(
             None if base is None else tuple(np.asarray(base, dtype=np.float64)[:3] / 255.0),
             None if emissive is None else tuple(np.asarray(emissive, dtype=np.float64)),
+            str(material.name or ""),
         )
+        return _finished(factors, {"pbrMetallicRoughness": finish})
     stated: Mapping[str, Any] = getattr(material, "kwargs", None) or {}
     diffuse = getattr(material, "diffuse", None)
     base_colour = None

@@ -27,7 +27,7 @@ from .neighbours import coincident, examine_edges, position_index
 if TYPE_CHECKING:
     from .scene import Scene
 
-__all__ = ["Report", "report"]
+__all__ = ["Report", "counted", "report"]
 
 # Rays are cast in 32 bits in a scene scaled to size 2: what is thinner than this, relative to the scene, they can miss.
 _THINNEST = 1e-6
@@ -121,9 +121,9 @@ class Report:
         ]
         if self.mirrors or self.glass:
             rows.insert(4, ("mirrors, glass", f"{self.mirrors:,} and {self.glass:,} patches"))
-        title = f"Scene of {self.n_patches:,} patches in {self.bands} band{'s' if self.bands != 1 else ''}"
+        title = f"Scene of {counted(self.n_patches, 'patch', 'patches')} in {counted(self.bands, 'band', 'bands')}"
         if self.objects:
-            title += f", {self.objects:,} object{'s' if self.objects != 1 else ''}"
+            title += f", {counted(self.objects, 'object', 'objects')}"
         if self.both_sides:
             title += ", both sides of each triangle"
         width = max(len(name) for name, _ in rows)
@@ -221,6 +221,11 @@ def _hints(scene: Scene, found: Report) -> list[str]:
 
 
 # ---------------------------------------------------------------------------------------------------------------- text
+
+
+def counted(number: int, one: str, many: str) -> str:
+    """Say how many there are: "1 band", "3 bands"."""
+    return f"{number:,} {one if number == 1 else many}"
 
 
 def _listed(patches: IntArray, names: Sequence[str] | None) -> str:

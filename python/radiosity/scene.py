@@ -11,7 +11,7 @@ import numpy as np
 from . import _core
 from .arrays import FloatArray, IntArray, one_per_patch, per_patch, read_only, shaped, thread_count, triangle_indices
 from .memory import available_bytes
-from .report import Report, report
+from .report import Report, counted, report
 
 if TYPE_CHECKING:
     import trimesh
@@ -39,7 +39,8 @@ class Scene:
     Args:
         vertices: (V, 3) coordinates, m.
         faces: (n, 3) indices of the corners of each patch.
-        reflectance: rho in [0, 1]: a scalar, (b,) one value a band, or (n, b). A 1-D array always means bands.
+        reflectance: rho in [0, 1]: a scalar, (b,) one value a band, or (n, b). A 1-D array always means bands. What is
+            not told patch by patch holds for the diffuse patches.
         emission: self-emitted radiosity E >= 0, W/m^2, in the same shapes. It is what the surface gives off by itself
             (a diffuse radiance of E / pi), never the light that falls on it.
         sides: ``"front"``, or ``"both"`` to make thin sheets: every patch then gets a reversed twin, and patch i + n is
@@ -48,8 +49,9 @@ class Scene:
         mirror: what of the light a perfect mirror sends back, in [0, 1], all bands alike; a scalar or (n,). 0 is no
             mirror.
         ior: index of refraction (> 0) of the body behind a smooth clear surface, its front outside; a scalar or (n,).
-            nan is no glass. Glass is a closed body with nothing diffuse in it. A patch is diffuse, a mirror or glass:
-            mirrors and glass have reflectance 0 and emission 0, and no radiosity. :func:`radiosity.solve` by rays
+            nan is no glass. Glass is a closed body with nothing diffuse in it, and a gap around it: :meth:`report`
+            looks at that. A patch is diffuse, a mirror or glass: mirrors and glass have reflectance 0 and emission 0,
+            and no radiosity. :func:`radiosity.solve` by rays
             carries light over them, :func:`radiosity.two_pass` draws them; what cannot carry them refuses such scenes.
 
     Raises:
@@ -77,14 +79,10 @@ class Scene:
             raise ValueError(f"sides must be one of {SIDES}, not {sides!r}")
         indices = triangle_indices("faces", faces)
         n = len(indices)
-        rho, e = per_patch(n, reflectance=reflectance, emission=emission)
+        materials = _materials(n, reflectance, emission, mirror, ior)
         if names is not None and len(names) != n:
             raise ValueError(f"names must hold {n} names, one a patch, not {len(names)}")
-        specular = one_per_patch("mirror", n, mirror), one_per_patch("ior", n, ior)
-        both = np.flatnonzero((specular[0] != 0.0) & ~np.isnan(specular[1]))
-        if both.size:
-            raise ValueError(f"patch {both[0]}: it is a mirror and glass at once ({both.size} patches are)")
-        self._core = _core.Scene(shaped("vertices", vertices, "V", 3), indices, rho, e, *specular, sides == "both")
+        self._core = _core.Scene(shaped("vertices", vertices, "V", 3), indices, *materials, sides == "both")
         self.parent = None
         self.names = None if names is None else tuple(names) * (2 if sides == "both" else 1)
 
@@ -98,20 +96,27 @@ class Scene:
 
     @classmethod
     def from_trimesh(
-        cls, mesh: trimesh.Trimesh | trimesh.Scene, reflectance: Any = None, emission: Any = None
+        cls,
+        mesh: trimesh.Trimesh | trimesh.Scene,
+        reflectance: Any = None,
+        emission: Any = None,
+        mirror: Any = None,
+        ior: Any = None,
     ) -> Scene:
         """A scene from a ``trimesh`` mesh or scene, its transforms applied and its materials used where present.
 
         Args:
             mesh: a ``trimesh.Trimesh`` or ``trimesh.Scene``.
-            reflectance: overrides the materials; scalar, (b,) or (n, b).
+            reflectance: overrides the materials, mirrors among them; scalar, (b,) or (n, b).
             emission: overrides the materials, W/m^2; scalar, (b,) or (n, b).
+            mirror: overrides the materials; scalar or (n,), 0 for what is none.
+            ior: overrides the materials; scalar or (n,), nan for what is no glass.
 
         See :func:`radiosity.load` for how materials are understood.
         """
         from .load import from_trimesh
 
-        return from_trimesh(mesh, reflectance=reflectance, emission=emission)
+        return from_trimesh(mesh, reflectance, emission, mirror, ior)
 
     @cached_property
     def vertices(self) -> FloatArray:
@@ -174,7 +179,8 @@ class Scene:
         return int(self.reflectance.shape[1])
 
     def __repr__(self) -> str:
-        return f"Scene({self.n_patches} patches, {self.bands} bands, {self.areas.sum():.6g} m^2)"
+        patches, bands = counted(self.n_patches, "patch", "patches"), counted(self.bands, "band", "bands")
+        return f"Scene({patches}, {bands}, {self.areas.sum():.6g} m^2)"
 
     def __getstate__(self) -> dict[str, Any]:
         arrays = (self.vertices, self.faces, self.reflectance, self.emission, self.mirror, self.ior)
@@ -186,10 +192,20 @@ class Scene:
         self.parent = state["parent"]
         self.names = state["names"]
 
-    def with_materials(self, reflectance: Any, emission: Any) -> Scene:
-        """The same patches with another reflectance and emission (scalar, (b,) or (n, b)); mirrors and glass stay."""
-        rho, e = per_patch(self.n_patches, reflectance=reflectance, emission=emission)
-        core = _core.Scene(self.vertices, self.faces, rho, e, self.mirror, self.ior, False)
+    def with_materials(
+        self, reflectance: Any = None, emission: Any = None, mirror: Any = None, ior: Any = None
+    ) -> Scene:
+        """The same patches with other materials, in the shapes that :class:`Scene` takes; None keeps what is there.
+
+        What becomes a mirror or glass loses its reflectance and emission unless these are given; what ceases to be one
+        has none until they are.
+
+        Raises:
+            ValueError: as :class:`Scene`.
+        """
+        m, n = (self.mirror if mirror is None else mirror), (self.ior if ior is None else ior)
+        materials = _materials(self.n_patches, reflectance, emission, m, n, (self.reflectance, self.emission))
+        core = _core.Scene(self.vertices, self.faces, *materials, False)
         scene = Scene._from_core(core, self.names)
         scene.parent = self.parent
         return scene
@@ -244,6 +260,27 @@ class Scene:
             ValueError: shapes that differ, or a coordinate that is not finite.
         """
         return self._core.occluded(*_pair("p", p, "q", q), thread_count(threads))
+
+
+def _materials(
+    n: int, reflectance: Any, emission: Any, mirror: Any, ior: Any, kept: tuple[Any, Any] = (None, None)
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The materials of n patches; ``kept`` are reflectance and emission where None is given.
+
+    Only what is told patch by patch can be told of a mirror or glass: the core refuses that, by patch.
+    """
+    mirrored, index = one_per_patch("mirror", n, mirror), one_per_patch("ior", n, ior)
+    both = np.flatnonzero((mirrored != 0.0) & ~np.isnan(index))
+    if both.size:
+        raise ValueError(f"patch {both[0]}: it is a mirror and glass at once ({both.size} patches are)")
+    given = (reflectance, emission)
+    rho, e = (old if new is None else new for new, old in zip(given, kept, strict=True))
+    values = per_patch(n, reflectance=rho, emission=e)
+    is_specular = ((mirrored != 0.0) | ~np.isnan(index))[:, None]
+    rho, e = (
+        told if np.ndim(new) == 2 else np.where(is_specular, 0.0, told) for new, told in zip(given, values, strict=True)
+    )
+    return rho, e, mirrored, index
 
 
 def _pair(name_a: str, a: Any, name_b: str, b: Any) -> tuple[FloatArray, FloatArray]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .arrays import FloatArray
+from .report import counted
 from .scene import Scene
 
 
@@ -33,7 +34,8 @@ class EnergyAudit:
     emitted: FloatArray
     """(b,) sum of A E."""
     absorbed: FloatArray
-    """(b,) sum of A (1 - rho) H; of a mirror, what it does not send back."""
+    """(b,) sum of A (1 - rho) H over the diffuse patches, and of what falls on mirrors the part 1 - mirror that they do
+    not send back. Glass absorbs nothing."""
     left: FloatArray
     """(b,) what left the scene or met the back of a patch: sum of A B times the remainder."""
     unshot: FloatArray
@@ -91,8 +93,9 @@ class Report:
     """Estimated largest error of a row of F, sum over j of abs(dF_ij); None for a matrix that the user brought."""
 
     def __str__(self) -> str:
+        patches, bands = counted(self.patches, "patch", "patches"), counted(self.bands, "band", "bands")
         lines = [
-            f"{self.patches} patches, {self.bands} bands, method {self.method}",
+            f"{patches}, {bands}, method {self.method}",
             f"steps      {self.steps}, relative residual {self.residual:.2e}",
         ]
         if self.bound is not None:
@@ -169,7 +172,8 @@ class Solution:
 
     def __repr__(self) -> str:
         n, b = self.radiosity.shape
-        return f"Solution({n} patches, {b} bands, {self.report.method}, error about {self.error_estimate:.2g})"
+        size = f"{counted(n, 'patch', 'patches')}, {counted(b, 'band', 'bands')}"
+        return f"Solution({size}, {self.report.method}, error about {self.error_estimate:.2g})"
 
 
 @dataclass(frozen=True)

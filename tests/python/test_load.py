@@ -203,6 +203,90 @@ def test_gltf_textures_are_averaged_over_the_patch(tmp_path: Path, gltf: Gltf) -
     np.testing.assert_allclose(scene.emission[0], [math.pi, math.pi * green, 0.0], atol=1e-12)
 
 
+CLEAR = {"KHR_materials_transmission": {"transmissionFactor": 1.0}}
+IOR = {"KHR_materials_ior": {"ior": 1.33}}
+PLASTIC = {"metallicFactor": 0.0, "roughnessFactor": 0.0}
+TINT = {"baseColorFactor": [0.9, 1.0, 0.9, 1.0]}
+
+
+@pytest.mark.parametrize(
+    ("stated", "more", "mirror", "ior"),
+    [
+        # Metal is what a material is that does not say otherwise.
+        ({"roughnessFactor": 0.0}, {}, 1.0, math.nan),
+        ({"metallicFactor": 1.0, "roughnessFactor": 0.1, "baseColorFactor": [0.3, 0.3, 0.3, 1.0]}, {}, 0.3, math.nan),
+        ({"metallicFactor": 1.0}, {}, 0.0, math.nan),
+        (PLASTIC, {}, 0.0, math.nan),
+        (PLASTIC, {"extensions": CLEAR}, 0.0, 1.5),
+        ({**PLASTIC, "baseColorFactor": [1.0, 1.0, 1.0, 1.0]}, {"extensions": {**CLEAR, **IOR}}, 0.0, 1.33),
+        (PLASTIC, {"extensions": IOR}, 0.0, math.nan),
+        # Metal lets nothing through.
+        ({"roughnessFactor": 0.0}, {"extensions": CLEAR}, 1.0, math.nan),
+    ],
+)
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_gltf_polished_metal_is_a_mirror_and_what_is_clear_is_glass(
+    tmp_path: Path, gltf: Gltf, stated: dict[str, Any], more: dict[str, Any], mirror: float, ior: float
+) -> None:
+    finished = gltf.add("materials", pbrMetallicRoughness=stated, **more)
+    wall = gltf.add("materials", pbrMetallicRoughness={"baseColorFactor": [0.2, 0.4, 0.6, 1.0]})
+    parts = [gltf.primitive(TRIANGLE, material=finished), gltf.primitive(TRIANGLE + 2, material=wall)]
+    gltf.root(mesh=gltf.add("meshes", primitives=parts))
+    scene = rad.load(gltf.write(tmp_path / "a.glb"))
+    np.testing.assert_array_equal(scene.mirror, [mirror, 0.0])
+    np.testing.assert_array_equal(scene.ior, [ior, math.nan])
+    is_diffuse = mirror == 0.0 and math.isnan(ior)
+    np.testing.assert_array_equal(scene.reflectance, [[0.5 if is_diffuse else 0.0] * 3, [0.2, 0.4, 0.6]])
+
+
+@pytest.mark.parametrize(
+    ("stated", "more", "told"),
+    [
+        ({"roughnessFactor": 0.3}, {}, r"'it' is no mirror \(metalness 1, roughness 0.3\): it is read as diffuse"),
+        ({"metallicFactor": 0.5, "roughnessFactor": 0.0}, {}, "is no mirror .metalness 0.5"),
+        ({"roughnessFactor": 0.0, "metallicRoughnessTexture": {"index": 0}}, {}, "roughness 0 times a texture"),
+        ({"roughnessFactor": 0.0}, {"emissiveFactor": [1, 1, 1]}, "is no mirror .*, emission"),
+        (
+            {"metallicFactor": 0.0},
+            {"extensions": CLEAR},
+            r"is no clear glass \(transmission 1, metalness 0, roughness 1\)",
+        ),
+        (PLASTIC, {"extensions": {"KHR_materials_transmission": {"transmissionFactor": 0.5}}}, "transmission 0.5"),
+        (PLASTIC, {"extensions": CLEAR, "emissiveFactor": [1, 1, 1]}, "is no clear glass .*, emission"),
+    ],
+)
+def test_gltf_gloss_and_frost_are_diffuse_and_said_to_be(
+    tmp_path: Path, gltf: Gltf, stated: dict[str, Any], more: dict[str, Any], told: str
+) -> None:
+    base = {"baseColorFactor": [0.2, 0.4, 1.0, 1.0]}
+    material = gltf.add("materials", name="it", pbrMetallicRoughness={**base, **stated}, **more)
+    gltf.root(mesh=gltf.add("meshes", primitives=[gltf.primitive(TRIANGLE + k, material=material) for k in (0, 2)]))
+    with pytest.warns(UserWarning, match=rf"a\.glb: material .*{told}") as warned:
+        scene = rad.load(gltf.write(tmp_path / "a.glb"))
+    assert len(warned) == 1
+    assert scene.is_diffuse
+    np.testing.assert_array_equal(scene.reflectance, [base["baseColorFactor"][:3]] * 2)
+
+
+def test_gltf_coloured_mirrors_are_grey_and_tinted_glass_clear(tmp_path: Path, gltf: Gltf) -> None:
+    gold = gltf.add(
+        "materials", name="gold", pbrMetallicRoughness={"roughnessFactor": 0.0, "baseColorFactor": [1.0, 0.8, 0.3, 1]}
+    )
+    bottle = gltf.add("materials", name="bottle", pbrMetallicRoughness={**PLASTIC, **TINT}, extensions=CLEAR)
+    parts = [gltf.primitive(TRIANGLE, material=gold), gltf.primitive(TRIANGLE + 2, material=bottle)]
+    gltf.root(mesh=gltf.add("meshes", primitives=parts))
+    with pytest.warns(UserWarning, match="a.glb: material") as warned:
+        scene = rad.load(gltf.write(tmp_path / "a.glb"))
+    told = [str(warning.message) for warning in warned]
+    assert len(told) == 2
+    assert "material 'gold' is a mirror of colour" in told[0]
+    assert "material 'bottle' is tinted glass" in told[1]
+    # ITU-R BT.709.
+    np.testing.assert_allclose(scene.mirror, [0.2126 + 0.8 * 0.7152 + 0.3 * 0.0722, 0.0], rtol=1e-15)
+    np.testing.assert_array_equal(scene.ior, [math.nan, 1.5])
+    assert not scene.reflectance.any()
+
+
 def test_gltf_warns_about_what_bears_on_light_and_is_left_out(tmp_path: Path, gltf: Gltf) -> None:
     gltf.tree["extensionsUsed"] = ["KHR_lights_punctual"]
     gltf.root(mesh=gltf.add("meshes", primitives=[gltf.primitive(TRIANGLE)]))
@@ -648,6 +732,30 @@ def test_from_trimesh_mixes_meshes_with_and_without_materials() -> None:
     scene = from_trimesh(trimesh.Scene({"coloured": coloured, "plain": plain}))
     np.testing.assert_allclose(scene.reflectance[:12], [[1, 0, 0.2]] * 12, rtol=1e-15)
     np.testing.assert_array_equal(scene.reflectance[12:], [[0.5] * 3] * 12)
+
+
+def test_from_trimesh_reads_metal_and_takes_mirrors_and_glass() -> None:
+    chrome = trimesh.visual.material.PBRMaterial(
+        metallicFactor=1.0, roughnessFactor=0.0, baseColorFactor=[51] * 3 + [255]
+    )
+    steel = trimesh.visual.material.PBRMaterial(name="steel", metallicFactor=1.0, roughnessFactor=0.5)
+    boxes = [trimesh.creation.box() for _ in range(3)]
+    boxes[0].visual = trimesh.visual.TextureVisuals(material=chrome)
+    mesh = trimesh.Scene(boxes[:2])
+    scene = from_trimesh(mesh)
+    np.testing.assert_array_equal(scene.mirror, np.repeat([0.2, 0.0], 12))
+    np.testing.assert_array_equal(scene.reflectance[:, 0], np.repeat([0.0, 0.5], 12))
+    # A reflectance that is told makes all of it diffuse.
+    for told in (0.3, np.full((24, 3), 0.3)):
+        assert from_trimesh(mesh, told).is_diffuse
+    glass = rad.Scene.from_trimesh(mesh, mirror=0.0, ior=np.repeat([np.nan, 1.5], 12))
+    np.testing.assert_array_equal(glass.reflectance[:, 0], np.repeat([0.2, 0.0], 12))
+    assert (glass.ior[12:] == 1.5).all()
+    half = rad.Scene.from_trimesh(mesh, 0.7, mirror=np.repeat([0.0, 0.9], 12))
+    np.testing.assert_array_equal(half.reflectance[:, 0], np.repeat([0.7, 0.0], 12))
+    boxes[2].visual = trimesh.visual.TextureVisuals(material=steel)
+    with pytest.warns(UserWarning, match="material 'steel' is no mirror"):
+        assert from_trimesh(boxes[2]).is_diffuse
 
 
 def test_from_trimesh_does_not_touch_or_share_the_mesh() -> None:

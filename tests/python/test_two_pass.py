@@ -264,8 +264,8 @@ def test_who_cannot_carry_mirrors_says_who_can():
         ({"ior": [1.5, -1.0]}, "patch 1: index of refraction -1 is outside"),
         ({"mirror": 0.5, "ior": 1.5}, "patch 0: it is a mirror and glass at once"),
         ({"mirror": [0.5]}, r"mirror must be a scalar or \(2,\), one a patch"),
-        ({"mirror": 0.5, "reflectance": 0.5}, "patch 0: a mirror has no reflectance"),
-        ({"ior": 1.5, "emission": 1.0}, "patch 0: glass has no reflectance and no emission"),
+        ({"mirror": 0.5, "reflectance": [[0.5], [0.0]]}, "patch 0: a mirror has no reflectance"),
+        ({"ior": 1.5, "emission": [[1.0], [0.0]]}, "patch 0: glass has no reflectance and no emission"),
         ({"ior": 1.5, "sides": "both"}, "patch 0: glass has one front"),
     ],
 )
@@ -273,6 +273,33 @@ def test_wrong_materials_are_named(wrong, message):
     square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]
     with pytest.raises(ValueError, match=message):
         rad.Scene(*square, **{"reflectance": 0.0, **wrong})
+
+
+def test_what_holds_for_all_patches_holds_for_the_diffuse_ones():
+    corners, faces = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3], [0, 3, 1]]
+    assert not rad.Scene(corners, faces, mirror=0.9).reflectance.any()
+    mirror, ior = [0.9, 0.0, 0.0], [np.nan, np.nan, 1.5]
+    scene = rad.Scene(corners, faces, [0.2, 0.4], 3.0, mirror=mirror, ior=ior)
+    np.testing.assert_array_equal(scene.reflectance, [[0, 0], [0.2, 0.4], [0, 0]])
+    np.testing.assert_array_equal(scene.emission, [[0, 0], [3, 3], [0, 0]])
+    grey = scene.with_materials(0.7)
+    np.testing.assert_array_equal(grey.reflectance, [[0, 0], [0.7, 0.7], [0, 0]])
+    np.testing.assert_array_equal(grey.emission, scene.emission)
+    np.testing.assert_array_equal(grey.ior, ior)
+    with pytest.raises(ValueError, match="patch 0: a mirror has no reflectance"):
+        scene.with_materials(np.full((3, 2), 0.7))
+
+    # What becomes a mirror loses what it was; what ceases to be one is black until told otherwise.
+    moved = scene.with_materials(mirror=[0.0, 0.5, 0.0])
+    np.testing.assert_array_equal(moved.mirror, [0.0, 0.5, 0.0])
+    np.testing.assert_array_equal(moved.ior, ior)
+    assert not moved.reflectance.any()
+    diffuse = scene.with_materials(0.5, mirror=0.0, ior=np.nan)
+    assert diffuse.is_diffuse
+    assert (diffuse.reflectance == 0.5).all()
+    np.testing.assert_array_equal(diffuse.emission, scene.emission)
+    with pytest.raises(ValueError, match="patch 2: it is a mirror and glass at once"):
+        scene.with_materials(mirror=0.5)
 
 
 def test_a_closed_room_of_mirrors_that_lose_nothing_is_refused():

@@ -40,8 +40,9 @@ def read_gltf(file: Path, data: bytes, notes: list[str]) -> list[Part]:
         mesh = triangles_only(geometry, f"mesh {m}")
         material = {} if primitive.get("material") is None else materials[primitive["material"]]
         notes.extend(note for note in _unread_images(material, mesh) if note not in notes)
-        factors = factors_of_gltf(material)
-        of_mesh.setdefault(m, []).append((mesh, surface_of_mesh(mesh, factors, linear_colours=True)))
+        surface = surface_of_mesh(mesh, factors_of_gltf(material), linear_colours=True)
+        notes.extend(note for note in surface.remarks if note not in notes)
+        of_mesh.setdefault(m, []).append((mesh, surface))
     return [
         part_of(name, mesh, surface, matrix)
         for name, m, matrix in _gltf_instances(tree)

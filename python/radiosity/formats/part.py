@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, one_per_patch
 from ..materials import DEFAULT_REFLECTANCE, Surface, surface_of_mesh
 from ..scene import Scene
 
@@ -54,29 +54,48 @@ def part_of(name: str, mesh: Any, surface: Surface | None = None, matrix: FloatA
 
 
 def joined_scene(
-    parts: Sequence[Part], reflectance: npt.ArrayLike | None = None, emission: npt.ArrayLike | None = None
+    parts: Sequence[Part],
+    reflectance: npt.ArrayLike | None = None,
+    emission: npt.ArrayLike | None = None,
+    mirror: npt.ArrayLike | None = None,
+    ior: npt.ArrayLike | None = None,
 ) -> Scene:
-    """Put all parts into one scene, in their order."""
+    """Put all parts into one scene, in their order; what is given takes the place of their materials."""
     if not any(len(part.faces) for part in parts):
         raise MeshError("the mesh is empty: it holds no triangles")
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    n = sum(len(part.faces) for part in parts)
+    # What is told of the surfaces in place of their materials is told of diffuse ones, unless it says otherwise.
+    if mirror is None:
+        mirror = 0.0 if reflectance is not None else _joined(parts, "mirror", 0.0)
+    if ior is None:
+        ior = np.nan if reflectance is not None else _joined(parts, "ior", np.nan)
+    is_specular = (one_per_patch("mirror", n, mirror) != 0.0) | ~np.isnan(one_per_patch("ior", n, ior))
+
+    def diffuse(quantity: str, default: float) -> float | FloatArray:
+        values = _joined(parts, quantity, default)
+        return values if isinstance(values, float) else np.where(is_specular[:, None], 0.0, values)
+
     return Scene(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=True)]),
-        reflectance=_joined(parts, "reflectance", DEFAULT_REFLECTANCE) if reflectance is None else reflectance,
-        emission=_joined(parts, "emission", 0.0) if emission is None else emission,
+        reflectance=diffuse("reflectance", DEFAULT_REFLECTANCE) if reflectance is None else reflectance,
+        emission=diffuse("emission", 0.0) if emission is None else emission,
         names=[part.name for part in parts for _ in range(len(part.faces))],
+        mirror=mirror,
+        ior=ior,
     )
 
 
 def _joined(parts: Sequence[Part], quantity: str, default: float) -> float | FloatArray:
-    """Join to (n, 3) values, the default where a part states none; the default alone, of any bands, where none does."""
+    """Join to (n, 3) or (n,) values, the default where a part states none; the default alone where none does."""
     values: list[FloatArray | None] = [getattr(part.surface, quantity) for part in parts]
-    if all(value is None for value in values):
+    stated = next((value for value in values if value is not None), None)
+    if stated is None:
         return default
     return np.concatenate(
         [
-            np.full((len(part.faces), 3), default) if value is None else value
+            np.full((len(part.faces), *stated.shape[1:]), default) if value is None else value
             for part, value in zip(parts, values, strict=True)
         ]
     )
