@@ -169,6 +169,8 @@ def test_a_texture_becomes_its_mean_over_each_triangle() -> None:
 @needs_mitsuba
 def test_everything_that_cannot_become_a_patch_is_named() -> None:
     mi = mitsuba()
+    tint = {"type": "rgb", "value": [0.9, 1.0, 0.9]}
+    image = {"type": "bitmap", "data": mi.TensorXf(np.full((2, 2, 3), 0.5, dtype=np.float32))}
     scene = mi.load_dict(
         {
             "type": "scene",
@@ -176,6 +178,9 @@ def test_everything_that_cannot_become_a_patch_is_named() -> None:
             "pan": {"type": "rectangle", "bsdf": {"type": "conductor", "material": "Au"}},
             "bulb": {"type": "point", "position": [0.0, 0.0, 1.0]},
             "floor": {"type": "rectangle", "bsdf": {"type": "diffuse"}},
+            "green": {"type": "cube", "bsdf": {"type": "dielectric", "specular_transmittance": tint}},
+            "matt": {"type": "cube", "bsdf": {"type": "dielectric", "specular_reflectance": image}},
+            "clear": {"type": "cube", "bsdf": {"type": "dielectric", "specular_transmittance": 1.0}},
         }
     )
     with pytest.raises(ValueError, match="cannot become a Scene") as caught:
@@ -184,6 +189,9 @@ def test_everything_that_cannot_become_a_patch_is_named() -> None:
     assert "shape 'ball' is a Sphere, not a mesh" in message
     assert "shape 'pan' has the BSDF SmoothConductor" in message
     assert "is a PointLight" in message
+    for name in ("green", "matt"):
+        assert f"shape '{name}' is a dielectric of colour" in message
+    assert "clear" not in message
     assert "floor" not in message
 
 

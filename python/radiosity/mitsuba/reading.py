@@ -20,7 +20,7 @@ def from_mitsuba(mi_scene: Any) -> Scene:
     """Return a `Scene` of three bands with the triangles of a `mitsuba.Scene` of an RGB variant.
 
     Taken over: shapes that are meshes (files, `cube`, `rectangle`), `diffuse` BSDFs, `conductor` without a material (a
-    perfect mirror, grey), both also `twosided`, `dielectric`, and `area` emitters. Patches come in the order of
+    perfect mirror, grey), both also `twosided`, clear `dielectric`, and `area` emitters. Patches come in the order of
     `mi_scene.shapes()` and are named after their shapes. A texture becomes its mean over each triangle (16 points).
     Vertex normals decide which side is the front, as in Mitsuba; the smooth shading they give is left out.
 
@@ -121,6 +121,12 @@ def _is_mirror(values: Any, side: int) -> bool:
     return bool((eta == 0.0).all() and (k == 1.0).all() and (reflected == reflected[0]).all())
 
 
+def _is_clear(values: Any) -> bool:
+    """Return whether these are parameters of a dielectric that takes nothing from what it reflects and lets through."""
+    own = [(key, value) for key, value in values if key.startswith("specular_")]
+    return all(key.endswith(".value") and bool((np.ravel(value) == 1.0).all()) for key, value in own)
+
+
 def _shape_problems(mi: Any, shape: Any) -> list[str]:
     """Say what in this shape has no counterpart in a `Scene`."""
     name = f"shape {shape.id()!r}"
@@ -133,6 +139,8 @@ def _shape_problems(mi: Any, shape: Any) -> list[str]:
     kind = bsdf.class_name()
     diffuse = kind in ("SmoothDiffuse", "TwoSidedBRDF") and kinds == {int(mi.BSDFFlags.DiffuseReflection)}
     mirror = kind in ("SmoothConductor", "TwoSidedBRDF") and all(_is_mirror(mi.traverse(bsdf), s) for s in (1, -1))
+    if kind == "SmoothDielectric" and not _is_clear(mi.traverse(bsdf)):
+        problems.append(f"{name} is a dielectric of colour: only one whose specular_... are 1 can be carried")
     if not (diffuse or mirror or kind == "SmoothDielectric"):
         problems.append(
             f"{name} has the BSDF {kind}: only diffuse, conductor of material none (grey), both also twosided, and "
