@@ -251,6 +251,8 @@ def irradiance(
 ) -> Figure:
     """The irradiance of all bands together in false colours, with a colour bar, W/m^2.
 
+    Mirrors and glass are drawn as what they are to light that arrives: surfaces, with what falls on their fronts.
+
     Args:
         solution: of a scene.
         camera: the viewpoint.
@@ -272,10 +274,10 @@ def irradiance(
     shown, scene = _drawn(solution)
     if most is not None and not most > 0.0:
         raise ValueError(f"most {most} is not a positive irradiance")
-    # A white surface that emits nothing has the radiance H / pi.
-    ones = np.ones_like(scene.reflectance)
-    white = dataclasses.replace(shown, radiosity=shown.irradiance, scene=scene.with_materials(ones, 0.0 * ones))
-    seen = math.pi * render(white, camera, width=size, height=size, shading=shading, progress=False).sum(axis=2)
+    # Grey that emits nothing has the radiance H / (2 pi). White would be refused where a room is closed.
+    surfaces = scene.with_materials(np.full(scene.bands, 0.5), 0.0, mirror=0.0, ior=np.nan)
+    grey = dataclasses.replace(shown, radiosity=0.5 * shown.irradiance, scene=surfaces)
+    seen = 2.0 * math.pi * render(grey, camera, width=size, height=size, shading=shading, progress=False).sum(axis=2)
     figure = Figure(figsize=(6.6, 5.6), layout="constrained")
     axes = figure.add_subplot()
     top = float(np.percentile(seen[seen > 0.0], 99.0)) if most is None and (seen > 0.0).any() else most

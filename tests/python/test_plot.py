@@ -29,6 +29,30 @@ def test_false_colours_show_the_irradiance(factors):
         rad.plot.irradiance(rad.solve_system(np.zeros((2, 2)), 1.0, 0.5, progress=False), VIEW)
 
 
+def test_false_colours_show_what_falls_on_mirrors_and_glass():
+    scene = rad.scenes.mirror_and_glass(0.3, facets=1)
+    solution = rad.solve(scene, 0.1, progress=False)
+    view = rad.Camera(**rad.scenes.mirror_and_glass_view())
+    shown = rad.plot.irradiance(solution, view, size=60, shading="flat").axes[0].images[0].get_array()
+    # Where the camera sees the mirror, and the top of the glass, which the lamp shines on.
+    targets = np.array([[0.278, 0.4, 0.5592], [0.19, 0.18, 0.15]])
+    patches = scene.intersect(np.tile(view.origin, (2, 1)), targets - view.origin).patch
+    assert scene.mirror[patches[0]] > 0.0
+    assert scene.ior[patches[1]] > 0.0
+    for patch in patches:
+        # Rounding of sums over the bands.
+        assert np.isclose(shown, solution.irradiance[patch].sum(), rtol=1e-9).any()
+
+
+def test_false_colours_of_a_closed_room():
+    scene = rad.scenes.furnace(reflectance=0.5, emission=1.0)
+    solution = rad.solve(scene, 0.1, progress=False)
+    middle = scene.centroids.mean(axis=0)
+    figure = rad.plot.irradiance(solution, rad.Camera(middle, scene.centroids[0]), size=20)
+    # B = E / (1 - rho) = H = 2, to the tolerance of the solution, of single patches three times as much.
+    np.testing.assert_allclose(figure.axes[0].images[0].get_array(), 2.0, rtol=0.3)
+
+
 def test_the_histogram_counts_every_row(factors):
     axes = rad.plot.row_sums(factors).axes[0]
     assert sum(patch.get_height() for patch in axes.patches) == factors.shape[0]
