@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--lightmap", type=int, metavar="TEXELS", help=".glb: a texture of so many texels each way")
 
     one = command("render", _render, "make a picture of a solution")
-    one.add_argument("solution", help="solution (.npz), file or built-in scene")
+    one.add_argument("scene", metavar="solution", help="solution (.npz), file or built-in scene")
     one.add_argument("-o", "--output", required=True, metavar="FILE", help=", ".join(IMAGE_FORMATS))
     _add_camera(one)
     one.add_argument("--size", nargs=2, type=int, default=(512, 512), metavar=("WIDTH", "HEIGHT"), help="pixels")
@@ -81,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_solving(one)
 
     one = command("show", _show, "open a solution in the browser, or write the page")
-    one.add_argument("solution", help="solution (.npz), file or built-in scene")
+    one.add_argument("scene", metavar="solution", help="solution (.npz), file or built-in scene")
     one.add_argument("-o", "--output", metavar="FILE", help="write this page (.html, .htm) instead of opening it")
     one.add_argument("--unit", choices=UNITS, default=UNITS[0], help=f"of false colours (default: {UNITS[0]})")
     _add_camera(one)
@@ -137,9 +138,11 @@ def _solve(options: argparse.Namespace) -> None:
     _check_output(options.output, (*SOLUTION_FORMATS, *_PAGES))
     if options.lightmap is not None and Path(options.output).suffix.lower() != ".glb":
         raise ValueError(f"{options.output}: only .glb files have a lightmap")
+    _check_scene(options)
+    camera = _camera(options)
     solution = _solved(_scene(options), options)
     if Path(options.output).suffix.lower() in _PAGES:
-        show(solution, _camera(options), up=_up(options)).save(options.output)
+        show(solution, camera, up=_up(options)).save(options.output)
     else:
         save(solution, options.output, lightmap=options.lightmap)
     _tell(options, f"{solution.report}\nwritten    {options.output}")
@@ -147,6 +150,8 @@ def _solve(options: argparse.Namespace) -> None:
 
 def _render(options: argparse.Namespace) -> None:
     _check_output(options.output, IMAGE_FORMATS)
+    is_solved = _is_solved(options)
+    _check_scene(options)
     camera = _camera(options)
     width, height = (
         whole_number(name, size, 1, 1 << 20) for name, size in zip(("width", "height"), options.size, strict=True)
@@ -157,10 +162,15 @@ def _render(options: argparse.Namespace) -> None:
         raise ValueError(f"exposure {options.exposure} is not a positive number")
     if camera is None:
         raise ValueError("say where the camera stands and what it looks at: --origin X Y Z --target X Y Z")
-    solution = _solution(options)
-    scene = solution.as_shown.scene
+    solution = load_solution(options.scene) if is_solved else None
+    scene = _scene(options) if solution is None else solution.scene
     is_specular = scene is not None and not scene.is_diffuse
     shading = options.shading or ("gather" if is_specular else "smooth")
+    if is_specular and shading != "gather":
+        raise ValueError(f"{options.scene} has mirrors or glass, which only --shading gather draws, in two passes")
+    if solution is None:
+        assert scene is not None
+        solution = _solved(scene, options)
     more = {"seed": options.seed, "threads": options.threads, "progress": not options.quiet}
     if is_specular and shading == "gather":
         image = two_pass(solution, camera, width, height, options.noise, **more)
@@ -173,9 +183,12 @@ def _render(options: argparse.Namespace) -> None:
 def _show(options: argparse.Namespace) -> None:
     if options.output is not None:
         _check_output(options.output, _PAGES)
+    is_solved = _is_solved(options)
+    _check_scene(options)
     up = _up(options)
     camera = _camera(options)
-    view = show(_solution(options), camera, unit=options.unit, up=up)
+    solution = load_solution(options.scene) if is_solved else _solved(_scene(options), options)
+    view = show(solution, camera, unit=options.unit, up=up)
     if options.output is None:
         _tell(options, f"opened     {view.open()}")
     else:
@@ -185,6 +198,7 @@ def _show(options: argparse.Namespace) -> None:
 
 def _form_factors(options: argparse.Namespace) -> None:
     _check_output(options.output, (".npz",))
+    _check_scene(options)
     scene = _scene(options)
     progress = not options.quiet
     # Written densely, whatever the method.
@@ -220,6 +234,18 @@ def _check_output(name: str, endings: Sequence[str]) -> None:
         raise FileNotFoundError(f"{path.parent}: no such folder")
 
 
+def _check_scene(options: argparse.Namespace) -> None:
+    """Refuses what is neither a file nor built in, before anything is said of cameras and methods."""
+    name = options.scene
+    if name in _SCENES or Path(name).exists():
+        return
+    if Path(name).suffix:
+        raise FileNotFoundError(f"{name}: no such file")
+    near = get_close_matches(name, _SCENES, 1)
+    meant = f"; did you mean {near[0]}?" if near else ""
+    raise ValueError(f"{name}: no such file, and no built-in scene, which are {', '.join(_SCENES)}{meant}")
+
+
 def _scene(options: argparse.Namespace) -> Scene:
     name = options.scene
     scene: Scene = getattr(scenes, name)() if name in _SCENES else load(name)
@@ -237,15 +263,15 @@ def _solved(scene: Scene, options: argparse.Namespace) -> Solution:
     )
 
 
-def _solution(options: argparse.Namespace) -> Solution:
-    if options.solution.lower().endswith(".npz"):
-        solving = {"--tolerance": options.tolerance, "--method": options.method, "--max-edge": options.max_edge}
-        given = [name for name, value in solving.items() if value is not None]
-        if given:
-            raise ValueError(f"{options.solution} is solved already: {', '.join(given)} cannot change it")
-        return load_solution(options.solution)
-    options.scene = options.solution
-    return _solved(_scene(options), options)
+def _is_solved(options: argparse.Namespace) -> bool:
+    """Whether a solution is given; refuses what cannot change it."""
+    if not options.scene.lower().endswith(".npz"):
+        return False
+    solving = {"--tolerance": options.tolerance, "--method": options.method, "--max-edge": options.max_edge}
+    given = [name for name, value in solving.items() if value is not None]
+    if given:
+        raise ValueError(f"{options.scene} is solved already: {', '.join(given)} cannot change it")
+    return True
 
 
 def _camera(options: argparse.Namespace) -> Camera | None:
@@ -257,15 +283,13 @@ def _camera(options: argparse.Namespace) -> Camera | None:
         return Camera(**{"up": _up(options), **parts})
     if set(parts) - {"up"}:
         raise ValueError("a camera needs both --origin X Y Z and --target X Y Z")
-    asked = getattr(options, "solution", getattr(options, "scene", None))
-    view = getattr(scenes, f"{asked}_view", None) if asked in _SCENES else None
+    view = getattr(scenes, f"{options.scene}_view", None) if options.scene in _SCENES else None
     return None if view is None else Camera(**view())
 
 
 def _up(options: argparse.Namespace) -> tuple[float, float, float]:
     """The direction asked for; y for glTF files, whose rule that is; else z."""
-    asked = getattr(options, "solution", getattr(options, "scene", ""))
-    usual = (0.0, 1.0, 0.0) if asked.lower().endswith((".glb", ".gltf")) else (0.0, 0.0, 1.0)
+    usual = (0.0, 1.0, 0.0) if options.scene.lower().endswith((".glb", ".gltf")) else (0.0, 0.0, 1.0)
     up = getattr(options, "up", None)
     return usual if up is None else tuple(up)
 

@@ -83,6 +83,12 @@ def test_form_factors_are_written(tmp_path, capsys):
         (["solve", "none.glb", "-o", "x.npz"], "none.glb: no such file"),
         (["solve", "cornell_box", "-o", "x.doc"], "unknown format '.doc'"),
         (["solve", "cornell_box", "-o", "nowhere/x.npz"], "nowhere: no such folder"),
+        (
+            ["render", "cornel_box", "-o", "x.png"],
+            "; did you mean cornell_box?",
+        ),
+        (["solve", "q", "-o", "x.npz"], "q: no such file, and no built-in scene, which are "),
+        (["show", "none.obj", "-o", "x.html"], "none.obj: no such file"),
         (["render", "two_rooms", "-o", "x.png"], "say where the camera stands"),
         (["render", "two_rooms", "-o", "x.png", "--origin", "1", "1", "1"], "both --origin"),
         (["render", "cornell_box", "-o", "x.png", "--size", "0", "4", "--tolerance", "0.5"], "width 0 is outside"),
@@ -112,11 +118,12 @@ def test_gltf_files_have_y_up(tmp_path):
     assert Path(picture).read_bytes() == Path(told).read_bytes()
 
 
-def test_mirrors_and_glass_are_drawn_in_two_passes(tmp_path, capsys):
+def test_mirrors_and_glass_are_drawn_in_two_passes(tmp_path, monkeypatch, capsys):
     pytest.importorskip("PIL.Image")
     picture = tmp_path / "room.png"
     command = ["render", "mirror_and_glass", "-o", str(picture), "--size", "16", "12", "--tolerance", "0.2", "--quiet"]
     assert main([*command, "--noise", "0.5"]) == 0
     assert picture.exists()
+    monkeypatch.setattr("radiosity.cli.solve", None)  # refused before any work
     assert main([*command, "--shading", "flat"]) == 1
-    assert "two_pass draws mirrors and glass" in capsys.readouterr().err
+    assert "mirror_and_glass has mirrors or glass, which only --shading gather draws" in capsys.readouterr().err
