@@ -83,7 +83,7 @@ def glass_hints(scene: Scene, who: Callable[[IntArray], str]) -> list[str]:
     tell(
         glass[turned_right[touched]],
         "glass that touches or passes through something",
-        f"light is lost there{at}: leave a gap of {10.0 * hair:.1g} m or more",
+        f"light goes astray there{at}: leave a gap of {10.0 * hair:.1g} m or more",
     )
     sound = _all([*outward, *hollows])
     dull = near[~touching & (scene.mirror[near] == 0.0)]
