@@ -86,6 +86,7 @@ def glass_hints(scene: Scene, who: Callable[[IntArray], str]) -> list[str]:
         f"light goes astray there{at}: leave a gap of {10.0 * hair:.1g} m or more",
     )
     sound = _all([*outward, *hollows])
+    sound = sound[scene.ior[glass[sound]] != 1.0]  # in glass that bends nothing light is as strong as outside
     dull = near[~touching & (scene.mirror[near] == 0.0)]
     if len(sound) and len(dull):
         tell(

@@ -27,7 +27,7 @@ from .neighbours import coincident, examine_edges, position_index
 if TYPE_CHECKING:
     from .scene import Scene
 
-__all__ = ["Report", "counted", "report"]
+__all__ = ["Report", "counted", "listed", "report"]
 
 # Rays are cast in 32 bits in a scene scaled to size 2: what is thinner than this, relative to the scene, they can miss.
 _THINNEST = 1e-6
@@ -198,7 +198,7 @@ def report(scene: Scene) -> Report:
 
 def _hints(scene: Scene, found: Report) -> list[str]:
     def who(patches: IntArray) -> str:
-        return _listed(patches, scene.names)
+        return listed(patches, scene.names)
 
     hints = []
     if len(found.flipped_patches):
@@ -228,7 +228,7 @@ def counted(number: int, one: str, many: str) -> str:
     return f"{number:,} {one if number == 1 else many}"
 
 
-def _listed(patches: IntArray, names: Sequence[str] | None) -> str:
+def listed(patches: IntArray, names: Sequence[str] | None) -> str:
     """Name patches, the first few, and their objects: "patches 3, 4, ... (144 in all; floor)"."""
     text = ", ".join(str(i) for i in patches[:_LISTED])
     remarks = []

@@ -27,8 +27,10 @@ from .arrays import (
     whole_number,
 )
 from .form_factors import FormFactors, form_factors_as_reached
+from .glass import glass_hints
 from .memory import available_bytes
 from .progress import Progress, reporter
+from .report import listed
 from .scene import Scene
 from .solution import ConvergenceError, EnergyAudit, Forecast, Report, Solution, Step
 
@@ -197,7 +199,8 @@ def solve(
             ``"hierarchical"`` raises it when not even the patches fit, and else stops where memory ends and says so.
 
     Warns:
-        UserWarning: the scene has no emission; or the tolerance was not met, and ``.error_estimate`` says what was.
+        UserWarning: the scene has no emission; its glass is nothing that light can be followed through (as
+            :meth:`Scene.report` has it); or the tolerance was not met, and ``.error_estimate`` says what was.
 
     Sources:
         Keller, "Quasi-Monte Carlo radiosity" 1996; Zatz 1993 (linear radiosity on a patch); Heinrich 2001 (corrections
@@ -207,6 +210,8 @@ def solve(
     _check(scene, tolerance, method, order)
     if not scene.emission.any():
         warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
+    for hint in glass_hints(scene, lambda patches: listed(patches, scene.names)):
+        warnings.warn(hint, UserWarning, stacklevel=2)
     distinct, bands = _distinct_bands(scene)
     if method == "hierarchical":
         solution = _solve_hierarchical(distinct, tolerance, seed, threads, progress)

@@ -195,3 +195,10 @@ def test_the_gap_that_is_told_is_enough():
     # The solution's own error, of single patches: three times the RMS that was asked for.
     np.testing.assert_allclose(solution.radiosity[np.isnan(room(0).ior)], 2.0, rtol=0.06)
     assert solution.report.audit.left == 0.0
+
+
+def test_a_solve_of_wrong_glass_warns():
+    scene = room_with({"ball": (ball(1, inside_out=True), 1.5)})
+    scene = scene.with_materials(None, np.where(scene.ior > 0.0, 0.0, 1.0)[:, None])
+    with pytest.warns(UserWarning, match="glass turned inside out"):
+        rad.solve(scene, 0.3, progress=False)
