@@ -50,6 +50,18 @@ def coincident(places: IntArray) -> tuple[IntArray, IntArray]:
     return duplicates, pairs[np.argsort(pairs[:, 0])]
 
 
+def close_corners(faces: IntArray, vertices: FloatArray, reach: float) -> IntArray:
+    """Find patches with a corner nearer to another position than `reach`, but not in it; most of them."""
+    used, corners = np.unique(faces, return_inverse=True)
+    places, index = np.unique(vertices[used] + 0.0, axis=0, return_inverse=True)
+    # Neighbours in space are neighbours along any line; others seldom are, along one that is askew to all meshes.
+    order = np.argsort(places @ np.array([0.5421, 0.6387, 0.5459]))
+    near = np.linalg.norm(np.diff(places[order], axis=0), axis=1) < reach
+    is_close = np.zeros(len(places), dtype=np.bool_)
+    is_close[order[1:][near]] = is_close[order[:-1][near]] = True
+    return np.flatnonzero(is_close[index.reshape(-1)[corners.reshape(-1, 3)]].any(axis=1))
+
+
 @dataclass(frozen=True)
 class Edges:
     """What the edges of n patches tell.

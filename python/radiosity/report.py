@@ -22,7 +22,7 @@ import numpy as np
 from . import _core
 from .arrays import IntArray
 from .glass import glass_hints
-from .neighbours import coincident, examine_edges, position_index
+from .neighbours import close_corners, coincident, examine_edges, position_index
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -34,6 +34,9 @@ _THINNEST = 1e-6
 
 # A patch this many times longer than high is a needle: one value cannot describe its light, whatever its area.
 _NEEDLE = 100.0
+
+# Nearer than this, relative to the scene, rays take two surfaces for one.
+_ONE_PLACE = 1e-9
 
 _LISTED = 10
 
@@ -210,7 +213,16 @@ def _hints(scene: Scene, found: Report) -> list[str]:
     if len(found.degenerate_patches):
         hints.append(f"needles, or thinner than rays resolve: {who(found.degenerate_patches)}")
     if len(found.duplicate_patches):
-        hints.append(f"repeating earlier patches, so that their light counts twice: {who(found.duplicate_patches)}")
+        hints.append(
+            f"repeating earlier patches: {who(found.duplicate_patches)}; rays meet only the first, and what would "
+            "count the light of both refuses them"
+        )
+    close = close_corners(scene.faces, scene.vertices, _ONE_PLACE * max(found.size))
+    if len(close):
+        hints.append(
+            f"corners that nearly, but not quite, are in one place: {who(close)}; rays do not see what lies less than "
+            f"{_ONE_PLACE:g} of the scene before them, and light in gaps like that is lost"
+        )
     perfect = np.flatnonzero((scene.reflectance == 1.0).any(axis=1))
     if len(perfect):
         hints.append(f"reflecting all light (reflectance 1), as no real surface does: {who(perfect)}")

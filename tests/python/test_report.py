@@ -105,6 +105,16 @@ def test_facing_outwards_is_said() -> None:
     assert any("faces outwards" in hint for hint in found.hints)
 
 
+@pytest.mark.parametrize(("gap", "is_named"), [(1e-8, False), (1e-10, True)])
+def test_gaps_that_rays_do_not_see_are_named(gap: float, is_named: bool) -> None:
+    vertices = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, gap], [0, 1, gap], [1, 0, gap]]
+    scene = rad.Scene(1e3 * np.array(vertices), [[0, 1, 2], [3, 4, 5]], emission=1.0)
+    assert (
+        any("nearly, but not quite, are in one place: patches 0, 1" in hint for hint in scene.report().hints)
+        == is_named
+    )
+
+
 def test_duplicates_and_coincident_pairs() -> None:
     cube = rad.scenes.furnace()
     turned = cube.faces[3][[1, 2, 0]]  # the same patch, started at another corner
