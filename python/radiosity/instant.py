@@ -7,6 +7,7 @@ and what the bound c cuts from G, by short paths (Kollig & Keller 2004). Valid f
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 
 from . import _core
@@ -19,6 +20,8 @@ from .scene import Scene
 SHADOWS = ("rays", "maps")
 # Pixels each way of the picture from which the share of the light that a bound cuts is taken.
 _GLANCE = 64
+# Of all light: what may be left out without a word.
+_LEFT_OUT = 0.1
 
 
 @dataclass(frozen=True, repr=False)
@@ -97,6 +100,9 @@ def virtual_lights(
         ValueError: no lights asked for, a scene that emits nothing, or one with a patch that repeats another one.
         MemoryError: the lights would not fit.
 
+    Warns:
+        UserWarning: more than a tenth of all light may be in bounces that have no lights, as in white rooms.
+
     Source: Keller, "Instant radiosity", 1997, section 3.
     """
     if not isinstance(scene, Scene):
@@ -105,6 +111,13 @@ def virtual_lights(
     with reporter(progress, "lights") as report:
         positions, flux, patch, bounce, sample, particles, left_out, bound = _core.virtual_lights(
             scene._core, count, seed_number(seed), available_bytes(), thread_count(threads), report
+        )
+    if left_out > _LEFT_OUT:
+        warnings.warn(
+            f"bounces after the last that has lights carry up to {left_out:.0%} of all light, which is left out: more "
+            "lights follow it further, and a solution has all of it",
+            UserWarning,
+            stacklevel=2,
         )
     return VirtualLights(
         scene,
@@ -167,6 +180,9 @@ def instant(
         MemoryError: the image would not fit.
         ImportError: maps without the package wgpu.
         RuntimeError: maps without a GPU driver.
+
+    Warns:
+        UserWarning: see :func:`virtual_lights`.
 
     Sources:
         Keller 1997; the compensation: Kollig & Keller, "Illumination in the presence of weak singularities", 2004.

@@ -216,3 +216,10 @@ def test_no_adapter_names_the_remedy(cornell, monkeypatch):
 def test_more_than_the_gpu_takes_is_refused(gpu, cornell):
     with pytest.raises(ValueError, match="choose a resolution of"):
         rad.instant(cornell, VIEW, 8, 8, 16, "maps", resolution=1 << 20, progress=False)
+
+
+def test_a_white_room_whose_light_outlives_its_lights_is_told():
+    with pytest.warns(UserWarning, match="of all light, which is left out"):
+        lights = rad.virtual_lights(rad.scenes.furnace(0.9999, 1.0), 256)
+    # B = E / (1 - rho); every bounce brings the power of the one before, but for 1e-4 of it.
+    assert lights.left_out == pytest.approx(0.9999 ** (lights.bounce.max() + 1), rel=1e-12)
