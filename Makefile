@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-rust test-python lint bench docs viewer clean
+.PHONY: demo test test-rust test-python lint bench extremes docs viewer clean
 
 demo: .venv/demo
 	$(BIN)/radiosity demo --output out
@@ -32,6 +32,9 @@ bench: .venv/test
 	$(PIP) pyviewfactor || echo "pyviewfactor cannot be installed here: no comparison with it"
 	for bench in benches/*.py; do $(BIN)/python $$bench || exit 1; done
 	$(BIN)/radiosity bench --output out
+
+extremes: .venv/test
+	$(BIN)/python tests/python/extremes.py
 
 # The pages, notebooks and all, in target/docs/site.
 docs: .venv/test

@@ -8,7 +8,28 @@ import numpy as np
 import pytest
 import trimesh
 
+import extremes
 import radiosity as rad
+
+
+@pytest.fixture(scope="module")
+def worker():
+    worker = extremes.Worker()
+    yield worker
+    worker.close()
+
+
+@pytest.mark.parametrize("row", [row for row in extremes.ROWS if extremes.chosen(row, short=True)])
+def test_the_extremes_table_is_right_at(row, worker):
+    cells = {column: worker.cell(row, column) for column in extremes.chosen(row, short=True)}
+    assert [f"{column}: {found.text}" for column, found in cells.items() if not found.right] == []
+
+
+def test_a_cell_that_takes_too_long_is_wrong_and_the_next_one_is_asked(worker, monkeypatch):
+    monkeypatch.setattr(extremes, "LIMIT", 0.0)
+    assert worker.cell("scale 1000", "monte_carlo")[:2] == ("> 0 s", False)
+    monkeypatch.undo()
+    assert worker.cell("1 patch", "solve").right
 
 
 def test_a_two_sided_sheet_is_seen_from_the_side_that_faces_the_ray():
