@@ -46,7 +46,7 @@ class VirtualLights:
     """How many walks made them."""
     left_out: float
     """The share of all light that further bounces would have, of which there are no lights: exact in a closed room of
-    one reflectance, more than there is in an open one."""
+    one reflectance, about so elsewhere."""
     bound: float
     """The largest geometry term, 1/m^2, that :func:`instant` lets one of them have unless told otherwise."""
     _sample: IntArray = field(compare=False)
@@ -101,7 +101,7 @@ def virtual_lights(
         MemoryError: the lights would not fit.
 
     Warns:
-        UserWarning: more than a tenth of all light may be in bounces that have no lights, as in white rooms.
+        UserWarning: more than a tenth of all light is in bounces that have no lights, as in white rooms.
 
     Source: Keller, "Instant radiosity", 1997, section 3.
     """
@@ -114,7 +114,7 @@ def virtual_lights(
         )
     if left_out > _LEFT_OUT:
         warnings.warn(
-            f"bounces after the last that has lights carry up to {left_out:.0%} of all light, which is left out: more "
+            f"bounces after the last that has lights carry about {left_out:.0%} of all light, which is left out: more "
             "lights follow it further, and a solution has all of it",
             UserWarning,
             stacklevel=2,

@@ -30,11 +30,13 @@ pub struct Lights {
     pub bounce: Vec<u32>,
     /// K, the particles that started.
     pub particles: usize,
-    /// The share of all light that further bounces would have: q^(j + 1), exact in a closed room of one reflectance
-    /// and more than there is in an open one.
+    /// The share of all light that further bounces would have: that of the last bounce with enough particles to tell, and from there
+    /// on less by the mean reflectance a bounce. Exact in a closed room of one reflectance, about so elsewhere.
     pub left_out: f64,
 }
 
+/// Particles that tell how much light is under way.
+const TELLING: usize = 16;
 /// Particles that are sent on together.
 const TOGETHER: usize = 1024;
 /// Bytes that a light takes beside its bands, twice over: here and at the caller.
@@ -84,6 +86,7 @@ pub fn virtual_lights(
         let middle = particles + (too_many - particles) / 2;
         if lights_of(middle) <= count { particles = middle } else { too_many = middle }
     }
+    let mut under_way = 1.0;
     let mut lights = Lights { points: Vec::new(), flux: Vec::new(), bounce: Vec::new(), particles, left_out: 0.0 };
     for (j, bounce) in bounces.iter().enumerate() {
         let number = surviving(q, j, particles);
@@ -94,7 +97,13 @@ pub fn virtual_lights(
         lights.points.extend(&bounce.points[..alive]);
         lights.flux.extend(bounce.power[..alive * bands].iter().map(|power| power / number as f64));
         lights.bounce.resize(lights.points.len(), j as u32);
-        lights.left_out = mean.powi(j as i32 + 1);
+        // What is under way, as far as there are enough particles to tell, and then as it would be in a closed room.
+        if number >= TELLING || j == 0 {
+            let carried: f64 = bounce.power[..alive * bands].iter().sum::<f64>() / number as f64;
+            under_way = carried / bounces[0].power[..bands].iter().sum::<f64>();
+        }
+        under_way *= mean;
+        lights.left_out = under_way;
     }
     Ok(lights)
 }

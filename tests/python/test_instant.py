@@ -223,3 +223,10 @@ def test_a_white_room_whose_light_outlives_its_lights_is_told():
         lights = rad.virtual_lights(rad.scenes.furnace(0.9999, 1.0), 256)
     # B = E / (1 - rho); every bounce brings the power of the one before, but for 1e-4 of it.
     assert lights.left_out == pytest.approx(0.9999 ** (lights.bounce.max() + 1), rel=1e-12)
+
+
+def test_light_that_leaves_the_scene_is_not_missed():
+    # White plates, but open to all sides: the mean reflectance alone says nothing of what is still under way.
+    plates = rad.virtual_lights(rad.scenes.parallel_plates(emission=(1.0, 0.0)), 64)
+    assert plates.left_out < 0.1
+    assert rad.virtual_lights(rad.Scene(np.eye(3), [[0, 1, 2]], 0.9, 1.0), 64).left_out == 0.0
