@@ -172,7 +172,7 @@ def _render(options: argparse.Namespace) -> None:
         assert scene is not None
         solution = _solved(scene, options)
     more = {"seed": options.seed, "threads": options.threads, "progress": not options.quiet}
-    if is_specular and shading == "gather":
+    if is_specular:
         image = two_pass(solution, camera, width, height, options.noise, **more)
     else:
         image = render(solution, camera, width, height, shading, options.noise, **more)
@@ -237,7 +237,7 @@ def _check_output(name: str, endings: Sequence[str]) -> None:
 def _check_scene(options: argparse.Namespace) -> None:
     """Refuses what is neither a file nor built in, before anything is said of cameras and methods."""
     name = options.scene
-    if name in _SCENES or Path(name).exists():
+    if name in _SCENES or Path(name).is_file():
         return
     if Path(name).suffix:
         raise FileNotFoundError(f"{name}: no such file")

@@ -58,6 +58,15 @@ def glass_hints(scene: Scene, who: Callable[[IntArray], str]) -> list[str]:
     if inward and outward:
         firsts = np.array([patches[0] for patches in inward])
         in_glass = _depth(_surface(skin[_all(outward)]), skin[firsts, 0]) > 0
+        # In glass, and not in the air of another hollow in it.
+        boxes = np.array([[skin[patches].min(axis=(0, 1)), skin[patches].max(axis=(0, 1))] for patches in inward])
+        for k, first in enumerate(firsts):
+            at = skin[first, 0]
+            holders = ((boxes[:, 0] < at) & (at < boxes[:, 1])).all(axis=1)
+            holders[k] = False
+            if in_glass[k] and holders.any():
+                others = _all([*outward, *(inward[m] for m in np.flatnonzero(holders))])
+                in_glass[k] = _depth(_surface(skin[others]), at[None])[0] > 0
         hollows = [patches for patches, within in zip(inward, in_glass, strict=True) if within]
         inward = [patches for patches, within in zip(inward, in_glass, strict=True) if not within]
 

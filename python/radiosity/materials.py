@@ -118,7 +118,7 @@ def factors_of_gltf(material: Mapping[str, Any]) -> Factors:
 
 def _finished(factors: Factors, material: Mapping[str, Any]) -> Factors:
     """Tell from a glTF material whether it is a mirror, clear glass, or taken as diffuse."""
-    name = factors.name
+    name = f"material {factors.name!r}" if factors.name else "a material without a name"
     stated = material.get("pbrMetallicRoughness", {})
     metalness, roughness = (float(stated.get(key, 1.0)) for key in ("metallicFactor", "roughnessFactor"))
     texture = "metallicRoughnessTexture" in stated
@@ -135,16 +135,19 @@ def _finished(factors: Factors, material: Mapping[str, Any]) -> Factors:
         textured = "transmissionTexture" in transmission
         if not polished or lit or textured or passed < _WHOLE or metalness > 1.0 - _WHOLE:
             of = f"transmission {passed:g}{' times a texture' if textured else ''}, {look}{emits}"
-            return replace(factors, remarks=(f"material {name!r} is no clear glass ({of}): it is read as diffuse",))
+            return replace(factors, remarks=(f"{name} is no clear glass ({of}): it is read as diffuse",))
         ior = float(extensions.get("KHR_materials_ior", {}).get("ior", _IOR))
-        tints = (factors.base_colour, extensions.get("KHR_materials_volume", {}).get("attenuationColor"))
+        if ior == 0.0:  # glTF's word for a Fresnel term of 1 everywhere
+            return replace(factors, remarks=(f"{name} is no clear glass (ior 0): it is read as diffuse",))
+        volume = extensions.get("KHR_materials_volume", {})
+        tints = (factors.base_colour, volume.get("attenuationColor") if "attenuationDistance" in volume else None)
         if any(tint is not None and min(tint) < 1.0 for tint in tints) or "baseColorTexture" in stated:
-            return replace(factors, ior=ior, remarks=(f"material {name!r} is tinted glass: it is read as clear",))
+            return replace(factors, ior=ior, remarks=(f"{name} is tinted glass: it is read as clear",))
         return replace(factors, ior=ior)
     if polished and metalness >= _WHOLE and not lit:
         return replace(factors, is_mirror=True)
     if metalness > 0.0 and (roughness < 1.0 or texture):
-        return replace(factors, remarks=(f"material {name!r} is no mirror ({look}{emits}): it is read as diffuse",))
+        return replace(factors, remarks=(f"{name} is no mirror ({look}{emits}): it is read as diffuse",))
     return factors
 
 

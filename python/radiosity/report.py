@@ -162,6 +162,8 @@ def report(scene: Scene) -> Report:
     both_sides = n % 2 == 0 and bool(np.array_equal(places[half:], places[:half][:, [0, 2, 1]]))
     fronts = places[:half] if both_sides else places
     duplicates, pairs = coincident(fronts)
+    if both_sides:  # what is turned round has the same two sides
+        duplicates, pairs = np.union1d(duplicates, pairs[:, 1]), pairs[:0]
     kept = np.delete(np.arange(len(fronts)), duplicates)
     edges = examine_edges(fronts[kept], areas[kept])
 
@@ -214,8 +216,8 @@ def _hints(scene: Scene, found: Report) -> list[str]:
         hints.append(f"needles, or thinner than rays resolve: {who(found.degenerate_patches)}")
     if len(found.duplicate_patches):
         hints.append(
-            f"repeating earlier patches: {who(found.duplicate_patches)}; rays meet only the first, and what would "
-            "count the light of both refuses them"
+            f"repeating earlier patches: {who(found.duplicate_patches)}; rays meet only the first, audits of "
+            "power count both, and what would count the light of both refuses them"
         )
     close = close_corners(scene.faces, scene.vertices, _ONE_PLACE * max(found.size))
     if len(close):

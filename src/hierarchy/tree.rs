@@ -308,7 +308,7 @@ impl Tree {
         node.samples = samples;
     }
 
-    /// Cuts a leaf into four; a sliver, whose short edges need no halving, into two or three, so that it takes no more elements to come
+    /// Cuts a leaf into four; a sliver, whose short edge needs no halving, into three, so that it takes no more elements to come
     /// down to some length than a wide patch does.
     pub fn divide(&mut self, number: usize) {
         /// Edges longer than this are halved, relative to the longest.

@@ -30,13 +30,11 @@ pub struct Lights {
     pub bounce: Vec<u32>,
     /// K, the particles that started.
     pub particles: usize,
-    /// The share of all light that further bounces would have: that of the last bounce with enough particles to tell, and from there
-    /// on less by the mean reflectance a bounce. Exact in a closed room of one reflectance, about so elsewhere.
+    /// The share of all light that further bounces would have: exact in a closed room of one reflectance, elsewhere as far as the
+    /// particles of the walk tell.
     pub left_out: f64,
 }
 
-/// Particles that tell how much light is under way.
-const TELLING: usize = 16;
 /// Particles that are sent on together.
 const TOGETHER: usize = 1024;
 /// Bytes that a light takes beside its bands, twice over: here and at the caller.
@@ -86,7 +84,6 @@ pub fn virtual_lights(
         let middle = particles + (too_many - particles) / 2;
         if lights_of(middle) <= count { particles = middle } else { too_many = middle }
     }
-    let mut under_way = 1.0;
     let mut lights = Lights { points: Vec::new(), flux: Vec::new(), bounce: Vec::new(), particles, left_out: 0.0 };
     for (j, bounce) in bounces.iter().enumerate() {
         let number = surviving(q, j, particles);
@@ -97,14 +94,15 @@ pub fn virtual_lights(
         lights.points.extend(&bounce.points[..alive]);
         lights.flux.extend(bounce.power[..alive * bands].iter().map(|power| power / number as f64));
         lights.bounce.resize(lights.points.len(), j as u32);
-        // What is under way, as far as there are enough particles to tell, and then as it would be in a closed room.
-        if number >= TELLING || j == 0 {
-            let carried: f64 = bounce.power[..alive * bands].iter().sum::<f64>() / number as f64;
-            under_way = carried / bounces[0].power[..bands].iter().sum::<f64>();
-        }
-        under_way *= mean;
-        lights.left_out = under_way;
     }
+    // What the walk of all particles, of which lights need fewer, carries on from the last bounce with lights; where even that
+    // walk has ended, as much less as is absorbed in the mean.
+    let after = lights.bounce.last().map_or(0, |&j| j as usize + 1);
+    let known = after.min(bounces.len() - 1);
+    let carried =
+        bounces[known].power.iter().fold(0.0, |sum, power| sum + power) / surviving(q, known, count).max(1) as f64;
+    let sent: f64 = bounces[0].power[..bands].iter().sum();
+    lights.left_out = carried / sent * mean.powi((after - known) as i32);
     Ok(lights)
 }
 

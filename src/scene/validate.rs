@@ -157,14 +157,19 @@ fn position(scene: &Scene, vertex: u32) -> [u64; 3] {
     scene.vertices[vertex as usize].to_array().map(|x| (x + 0.0).to_bits())
 }
 
-/// The first patch with the corners of an earlier one in the same orientation, after that one.
+/// The first patch with the corners of an earlier one, after that one: in the same orientation, but where patches have two sides.
 pub(super) fn repeated(scene: &Scene) -> Option<[usize; 2]> {
-    let mut known = HashMap::with_capacity(scene.len());
-    (0..scene.len()).find_map(|i| {
+    let given = if scene.mirrored { scene.len() / 2 } else { scene.len() };
+    let mut known = HashMap::with_capacity(given);
+    (0..given).find_map(|i| {
         let mut corners = scene.faces[i].map(|v| position(scene, v));
-        // Where a patch starts says nothing; which way it goes round does.
-        let least = (0..3).min_by_key(|&k| corners[k])?;
-        corners.rotate_left(least);
+        if scene.mirrored {
+            corners.sort_unstable();
+        } else {
+            // Where a patch starts says nothing; which way it goes round does.
+            let least = (0..3).min_by_key(|&k| corners[k])?;
+            corners.rotate_left(least);
+        }
         let first = *known.entry(corners).or_insert(i);
         (first != i).then_some([first, i])
     })

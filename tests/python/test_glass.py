@@ -95,6 +95,16 @@ WRONG = {
         ["ball", "other"],
         [],
     ),
+    "inside out in the air of a hollow": (
+        TURNED,
+        {
+            "ball": (ball(2), 1.5),
+            "hollow": (ball(1.5, inside_out=True), 1.5),
+            "marble": (ball(1, inside_out=True), 1.5),
+        },
+        ["marble"],
+        ["ball", "hollow"],
+    ),
     "two indices": (
         MIXED,
         {"block": (box((1, 1, 1)), np.repeat([1.3, 1.5], 6)), "ball": (ball(1, (3, 0, 0)), 1.4)},

@@ -97,6 +97,16 @@ def test_a_hole_is_counted() -> None:
     assert "4 edges of one patch only" in str(face_missing)
 
 
+def test_of_two_sided_patches_one_turned_round_repeats_the_other() -> None:
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    faces = [[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]]
+    scene = rad.Scene(square, faces, emission=1.0, sides="both")
+    assert any("repeating earlier patches: patches 2, 3;" in hint for hint in scene.report().hints)
+    with pytest.raises(ValueError, match="patch 2 repeats patch 0"):
+        rad.form_factors(scene, progress=False)
+    assert rad.Scene(square, faces, emission=1.0).report().duplicate_patches.size == 0
+
+
 def test_facing_outwards_is_said() -> None:
     cube = rad.scenes.furnace()
     found = changed(cube, cube.faces[:, ::-1]).report()
