@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-rust test-python lint bench extremes docs viewer clean
+.PHONY: demo test test-rust test-python lint bench extremes fuzz docs viewer clean
 
 demo: .venv/demo
 	$(BIN)/radiosity demo --output out
@@ -35,6 +35,21 @@ bench: .venv/test
 
 extremes: .venv/test
 	$(BIN)/python tests/python/extremes.py
+
+# Coverage-guided cases for the core, then damaged files and odd arguments for Python: so many seconds of a processor each.
+# libFuzzer needs no nightly compiler without its sanitizers, only the flags by which LLVM counts what has run. Counting
+# makes cases some six times as slow: 60 s are 10 of them.
+FUZZ_SECONDS ?= 1800
+FUZZ_FLAGS := --cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+  -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+  -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1
+HOST = $(shell rustc -vV | sed -n 's/^host: //p')
+fuzz: .venv/test
+	RUSTFLAGS="$(FUZZ_FLAGS)" cargo build --release --manifest-path tests/fuzz/Cargo.toml --target $(HOST) --target-dir target/fuzz
+	mkdir -p out/fuzz
+	target/fuzz/$(HOST)/release/core out/fuzz tests/data/corpus/core -artifact_prefix=out/ -timeout=60 -max_len=2000 \
+	  -max_total_time=$(FUZZ_SECONDS)
+	$(BIN)/python tests/python/fuzz.py --seconds $(FUZZ_SECONDS)
 
 # The pages, notebooks and all, in target/docs/site.
 docs: .venv/test

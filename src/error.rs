@@ -26,6 +26,10 @@ pub enum Error {
         remedy: String,
     },
 
+    /// The memory has run out in the middle of the work, before the forecast.
+    #[error("the memory has run out; use fewer patches (a larger max_edge), fewer pixels or a looser tolerance")]
+    OutOfMemory,
+
     /// The caller asked to stop.
     #[error("interrupted")]
     Interrupted,

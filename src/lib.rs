@@ -29,7 +29,7 @@
 //! - [`render`]: pictures of a solution
 //! - [`instant`]: pictures without a solution, from virtual point lights (Keller 1997)
 //!
-//! [`error`], [`progress`] and [`simd`] serve all of them. The core knows no Python, prints nothing, reads no files.
+//! [`error`], [`memory`], [`progress`] and [`simd`] serve all of them. The core knows no Python, prints nothing, reads no files.
 //!
 //! References: M. F. Cohen & J. R. Wallace, "Radiosity and Realistic Image Synthesis", 1993; F. X. Sillion & C. Puech,
 //! "Radiosity and Global Illumination", 1994.
@@ -42,6 +42,7 @@ pub mod form_factor;
 pub mod geometry;
 pub mod hierarchy;
 pub mod instant;
+pub mod memory;
 pub mod progress;
 pub mod render;
 pub mod scene;

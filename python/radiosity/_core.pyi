@@ -20,6 +20,7 @@ __all__ = [
     "solve",
     "solve_hierarchical",
     "solve_scene",
+    "start_threads",
     "virtual_lights",
 ]
 
@@ -256,3 +257,4 @@ def places(
     memory: int,
     threads: int | None,
 ) -> tuple[_Floats, _Ints]: ...
+def start_threads() -> None: ...

@@ -34,6 +34,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from .formats import read_gltf, read_obj, read_plain
@@ -90,7 +91,8 @@ def load(path: str | os.PathLike[str]) -> Scene:
         raise ValueError(f"{file}: the file is empty")
     notes: list[str] = []
     try:
-        with warnings.catch_warnings():
+        # Numbers that are not finite are refused by name when the scene is made: no warning of numpy's tells it better.
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
             # NumPy before 2.3 only warns when it stops at a word that is no number, and the rest of the mesh is lost.
             warnings.filterwarnings("error", message="string or file could not be read", category=DeprecationWarning)
             parts = _READERS[extension](file, data, notes)

@@ -6,6 +6,8 @@ import os
 import sys
 from pathlib import Path
 
+from . import _core
+
 # What remains for the caller's own arrays and for everything else on the machine.
 _SHARE = 0.8
 # No limit is known: the largest number that the core understands.
@@ -45,6 +47,8 @@ def _address_space() -> int | None:
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
     if soft == resource.RLIM_INFINITY:
         return None
+    # Each thread takes some tens of MiB of addresses, which are no longer there for work.
+    _core.start_threads()
     used = _lines("/proc/self/statm")
     return soft - (int(used[0].split()[0]) * os.sysconf("SC_PAGE_SIZE") if used else 0)
 

@@ -25,6 +25,8 @@ Point: TypeAlias = tuple[float, float, float]
 Viewpoint: TypeAlias = tuple[Point, Point, Point, float]
 OnImage: TypeAlias = Callable[[FloatArray, float], object]
 FORMATS = (".png", ".exr")
+# From a camera to its target, m: lengths are squared, and squares must neither overflow nor vanish.
+_DISTANCES = (1e-150, 1e150)
 
 
 @dataclass(frozen=True)
@@ -55,12 +57,16 @@ class Camera:
             object.__setattr__(self, name, tuple(point.tolist()))
         if not (math.isfinite(self.fov) and 0.0 < self.fov < 180.0):
             raise ValueError(f"camera fov {self.fov} is outside (0, 180) degrees")
-        view = np.subtract(self.target, self.origin)
-        if not view.any():
+        view = [there - here for here, there in zip(self.origin, self.target, strict=True)]
+        distance = math.hypot(*view)
+        if distance == 0.0:
             raise ValueError(f"camera target {self.target} is the same point as its origin")
+        low, high = _DISTANCES
+        if not low <= distance <= high:
+            raise ValueError(f"camera target is {distance:g} m from its origin, outside [{low:g}, {high:g}]")
         # An angle below 1e-9 between up and the view leaves the horizon to rounding.
-        size = np.linalg.norm(view) * np.linalg.norm(self.up)
-        if not np.linalg.norm(np.cross(view, self.up)) > 1e-9 * size:
+        up = np.divide(self.up, math.hypot(*self.up) or 1.0)
+        if not np.linalg.norm(np.cross(np.divide(view, distance), up)) > 1e-9:
             raise ValueError(f"camera up {self.up} is parallel to the view; choose another, such as (0, 1, 0)")
 
 
@@ -337,4 +343,7 @@ def _write_exr(path: str, pixels: FloatArray) -> None:
     data = {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, data) as file:
-        file.write(path)
+        try:
+            file.write(path)
+        except RuntimeError as error:
+            raise OSError(str(error)) from error

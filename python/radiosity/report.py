@@ -172,7 +172,8 @@ def report(scene: Scene) -> Report:
     volume = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 
     flipped = kept[edges.flipped]
-    emitted = areas @ scene.emission
+    with np.errstate(over="ignore"):
+        emitted = areas @ scene.emission
     found = Report(
         n_patches=n,
         bands=scene.bands,

@@ -23,6 +23,15 @@ FORMATS = (".npz", ".glb", ".ply", ".vtu", ".vtk")
 # Of the layout of .npz files.
 _VERSION = 1
 _MOST_TEXELS = 16384
+# What JSON makes of the types of a report's fields.
+_KINDS: dict[str, Any] = {
+    "str": str,
+    "int": int,
+    "float": (int, float),
+    "bool": bool,
+    "float | None": (int, float, type(None)),
+    "dict[str, float]": dict,
+}
 
 
 def save(
@@ -81,7 +90,9 @@ def save(
     data = glb(solution.as_shown, exposure, lightmap) if kind == ".glb" else b""
     with replacing(path) as temporary:
         if kind == ".npz":
-            np.savez_compressed(temporary, **_contents(solution))
+            contents = _contents(solution)
+            # The directory of a zip file has no checksum: what it has lost would not be missed.
+            np.savez_compressed(temporary, arrays=np.int64(len(contents)), **contents)
         elif kind == ".glb":
             Path(temporary).write_bytes(data)
         elif kind == ".ply":
@@ -114,6 +125,9 @@ def load_solution(path: str | os.PathLike[str]) -> Solution:
         raise ValueError(f"{path}: no saved solution")
     if int(version) > _VERSION:
         raise ValueError(f"{path}: written by a later version of radiosity (layout {int(version)})")
+    count = contents.pop("arrays", None)
+    if count is not None and (np.shape(count) or int(count) != len(contents)):
+        raise ValueError(f"{path}: damaged, {len(contents)} arrays are there of those that were written")
     try:
         solution = _solution_of(contents)
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
@@ -182,10 +196,22 @@ def _solution_of(contents: Mapping[str, Any]) -> Solution:
         standard_error=None if error is None else read_only(error),
         error_estimate=float(contents["error_estimate"]),
         history=tuple(Step(residual, unshot) for residual, unshot in steps),
-        report=Report(**plain, audit=audit, bound=None if bound is None else read_only(bound)),
+        report=Report(**_checked(plain), audit=audit, bound=None if bound is None else read_only(bound)),
         scene=scene,
         elements=_solution_of(of_elements) if of_elements else None,
     )
+
+
+def _checked(plain: dict[str, Any]) -> dict[str, Any]:
+    """What a report was written as, if every value is of the type that it must have."""
+    kinds = {part.name: _KINDS.get(str(part.type)) for part in dataclasses.fields(Report)}
+    for name, value in plain.items():
+        kind = kinds.get(name)
+        if kind is None or not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            raise TypeError(f"{name} {value!r}")
+    if not all(isinstance(seconds, float) for seconds in plain.get("seconds", {}).values()):
+        raise TypeError("seconds")
+    return plain
 
 
 def _write_ply(path: str, solution: Solution, exposure: float | None) -> None:

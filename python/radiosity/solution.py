@@ -45,7 +45,8 @@ class EnergyAudit:
     def imbalance(self) -> float:
         """abs(emitted - absorbed - left - unshot) / emitted, the largest over the bands; 0 without emission."""
         gap = np.abs(self.emitted - self.absorbed - self.left - self.unshot)
-        return float(np.max(np.divide(gap, self.emitted, out=np.zeros_like(gap), where=self.emitted > 0)))
+        with np.errstate(over="ignore"):
+            return float(np.max(np.divide(gap, self.emitted, out=np.zeros_like(gap), where=self.emitted > 0)))
 
 
 @dataclass(frozen=True)

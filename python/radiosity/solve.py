@@ -478,7 +478,8 @@ def ambient(areas: Any, unshot: Any, reflectance: Any) -> FloatArray:
         reflectance: rho; scalar, (b,) or (n, b).
 
     Raises:
-        ValueError: areas that are not positive, or a mean reflectance of 1, with which the light never dies.
+        ValueError: areas that are not positive, values that are not finite, a reflectance outside [0, 1], or one of 1
+            in the mean, with which the light never dies.
 
     Source:
         Cohen, Chen, Wallace & Greenberg 1988, section 4.3.
@@ -487,6 +488,14 @@ def ambient(areas: Any, unshot: Any, reflectance: Any) -> FloatArray:
     shot, rho = per_patch(len(sizes), unshot=unshot, reflectance=reflectance)
     if not (sizes.size and (sizes > 0).all()):
         raise ValueError("areas must hold at least one patch, all of them positive")
-    if (sizes @ rho >= sizes.sum()).any():
+    with np.errstate(over="ignore"):
+        total = sizes.sum()
+    if not (np.isfinite(total) and np.isfinite(shot).all()):
+        raise ValueError("the sum of the areas and unshot must be finite")
+    bad = np.argwhere(~((rho >= 0.0) & (rho <= 1.0)))
+    if bad.size:
+        patch, band = bad[0].tolist()
+        raise ValueError(f"patch {patch}: reflectance {rho[patch, band]:g} is outside [0, 1] (band {band})")
+    if (sizes @ rho >= total).any():
         raise ValueError("the mean reflectance must be below 1 in every band")
     return _core.ambient(sizes, shot, rho)

@@ -93,7 +93,18 @@ struct Limits {
 /// # Errors
 /// [`Error::Invalid`] for options out of range or a scene without finite solution, [`Error::Memory`], [`Error::Interrupted`].
 pub fn solve(scene: &Scene, options: &Options, progress: &Progress) -> Result<Outcome> {
-    run(scene, options, &Limits { rounds: ROUNDS, growth: MOST_GROWTH }, progress)
+    let outcome = run(scene, options, &Limits { rounds: ROUNDS, growth: MOST_GROWTH }, progress)?;
+    let bands = scene.bands();
+    match outcome.radiosity.iter().position(|b| !b.is_finite()) {
+        Some(k) => Err(Error::Invalid(format!(
+            "patch {}: its radiosity comes out as {} (band {}): emission, or its product with areas, is near the limits of \
+             floating-point numbers; choose other units",
+            k / bands,
+            outcome.radiosity[k],
+            k % bands
+        ))),
+        None => Ok(outcome),
+    }
 }
 
 /// What [`solve`] would take, from its first rounds.

@@ -13,6 +13,7 @@ use super::matrix::add_scaled;
 use crate::error::{Error, Result};
 use crate::form_factor::{Accuracy, Batch, Patch};
 use crate::geometry::sampling::hash;
+use crate::memory::{self, filled};
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::visibility::bodies::Bodies;
@@ -64,7 +65,8 @@ struct Room {
 impl Room {
     /// Takes room for some more candidates; false when there is none left.
     fn take(&self, candidates: usize) -> bool {
-        let bytes = (candidates * (size_of::<Candidate>() + size_of::<Uncertain>())) as u64;
+        // In its row and among all, and what may be left of it.
+        let bytes = (candidates * (2 * size_of::<Candidate>() + size_of::<Uncertain>())) as u64;
         self.used.fetch_add(bytes, Ordering::Relaxed) + bytes <= self.limit
     }
 }
@@ -106,7 +108,7 @@ impl Dense {
         };
         fits(Dense::forecast(n))?;
         let blockers = Blockers::of_scene(scene);
-        let mut exchange = vec![0.0; row_start(n)];
+        let mut exchange = filled(row_start(n), 0.0)?;
         // How many pairs need their visibility sampled is known only as they are found.
         let room = Room { limit: options.memory - Dense::forecast(n), used: AtomicU64::new(0) };
         let patches: Vec<Patch> = (0..n).map(|i| Patch::new(scene.triangle(i))).collect();
@@ -316,5 +318,8 @@ fn unoccluded(
             Ok(candidates)
         })
         .collect();
-    Ok(found?.into_iter().flatten().collect())
+    let found = found?;
+    let mut all = memory::room(found.iter().map(Vec::len).sum())?;
+    found.into_iter().for_each(|candidates| all.extend(candidates));
+    Ok(all)
 }

@@ -12,6 +12,7 @@ use super::tree::Tree;
 use crate::assembly::{Blockers, Candidate, Order, settle};
 use crate::error::Result;
 use crate::form_factor::{Accuracy, Patch};
+use crate::memory::room;
 use crate::progress::Progress;
 use crate::scene::Scene;
 
@@ -146,7 +147,9 @@ fn settle_patches(
         let [p, q] = [link.p, link.q].map(|k| &links.tree.nodes[k as usize]);
         link.exchange.visibility == Visibility::Partial && p.is_leaf() && q.is_leaf()
     };
-    let open: Vec<usize> = (0..links.found.links.len()).filter(|&k| is_open(links, k)).collect();
+    let count = (0..links.found.links.len()).filter(|&k| is_open(links, k)).count();
+    let mut open: Vec<usize> = room(count)?;
+    open.extend((0..links.found.links.len()).filter(|&k| is_open(links, k)));
     if open.is_empty() {
         return Ok((0, 0.0));
     }
@@ -156,7 +159,8 @@ fn settle_patches(
         let [i, j] = [link.p, link.q].map(|k| links.tree.nodes[k as usize].patch);
         Candidate::new(i, j, link.exchange.unoccluded)
     };
-    let mut candidates: Vec<Candidate> = open.iter().map(candidate).collect();
+    let mut candidates: Vec<Candidate> = room(open.len())?;
+    candidates.extend(open.iter().map(candidate));
     let settled = settle(&patches, scene.areas(), blockers, &mut candidates, budget, seed, progress)?;
     for (&k, candidate) in open.iter().zip(&candidates) {
         let link = &mut links.found.links[k];

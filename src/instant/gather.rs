@@ -24,6 +24,7 @@ use crate::direct::lamp::Point;
 use crate::error::{Error, Result};
 use crate::form_factor::emitter::Emitter;
 use crate::geometry::sampling::{Random, Sobol, cosine_direction, hash};
+use crate::memory::filled;
 use crate::progress::Progress;
 use crate::render::Camera;
 use crate::render::sight::{Sight, check_size};
@@ -36,6 +37,8 @@ pub const SAMPLES: usize = 16;
 const BLOCK: usize = 8;
 const BLOCKS: usize = 4;
 const TILE: usize = BLOCK * BLOCKS;
+/// Paths of more bounces are ended at random: a tiny bound would send them on until nothing is left to carry.
+const DEEP: usize = 32;
 /// Products of cosines below are rounding: both points lie in one plane.
 const GRAZING: f64 = 1e-20;
 
@@ -123,7 +126,7 @@ pub fn places(
     let InstantOptions { width, height, seed, memory, .. } = *options;
     check_size([width, height, 1], 2 * size_of::<Option<Point>>() as u64, memory)?;
     let view = View { scene, tree, camera, width, height, seed, sight: Sight::new(scene) };
-    let mut out = vec![None; width * height];
+    let mut out = filled(width * height, None)?;
     progress.expect(height as u64);
     out.par_chunks_mut(width).enumerate().try_for_each(|(y, row)| {
         let pixels: Vec<usize> = (y * width..(y + 1) * width).collect();
@@ -178,7 +181,7 @@ pub fn gather(
         .collect();
     let done = done?;
     view.sight.check(camera)?;
-    let mut picture = Picture { pixels: vec![0.0; width * height * bands], compensated: 0.0, bounds };
+    let mut picture = Picture { pixels: filled(width * height * bands, 0.0)?, compensated: 0.0, bounds };
     let (mut straight, mut by_paths) = (0.0, 0.0);
     for tile in done {
         straight += tile.straight;
@@ -275,10 +278,10 @@ impl Shown<'_> {
         let pixels: Vec<usize> = inside.map(|[x, y]| y * view.width + x).collect();
         let mut tile = Tile { radiance: vec![0.0; pixels.len() * bands], pixels, straight: 0.0, by_paths: 0.0 };
         for sample in 0..SAMPLES {
-            progress.advance(0)?;
             let mut walkers = view.look(&tile.pixels, sample);
             let mut throughput = vec![FRAC_1_PI; tile.pixels.len() * bands];
             for depth in 0.. {
+                progress.advance(0)?;
                 walkers.sort_by_key(|walker| walker.point.patch);
                 let irradiance = if depth > 0 || self.options.lit {
                     self.irradiance(&walkers, &self.parts[(sample + depth) % SAMPLES])
@@ -297,6 +300,10 @@ impl Shown<'_> {
                         if depth == 0 { tile.straight += reflected } else { tile.by_paths += shone + reflected }
                     }
                 }
+                if depth >= DEEP {
+                    let lives = |walker: &Walker| self.survives(walker, &mut throughput, &tile.pixels, sample, depth);
+                    walkers.retain(lives);
+                }
                 if self.options.compensate {
                     walkers = self.go_on(&walkers, &throughput, &tile.pixels, sample, depth);
                 }
@@ -306,6 +313,17 @@ impl Shown<'_> {
             }
         }
         Ok(tile)
+    }
+
+    /// Russian roulette: a path goes on as often as its patch reflects, and carries the more for it.
+    fn survives(&self, walker: &Walker, throughput: &mut [f64], pixels: &[usize], sample: usize, depth: usize) -> bool {
+        let (scene, bands) = (self.view.scene, self.view.scene.bands());
+        let rho = &scene.reflectance()[walker.point.patch as usize * bands..][..bands];
+        let odds = rho.iter().copied().fold(0.0, f64::max);
+        let pixel = hash(pixels[walker.pixel] as u64 ^ hash(DEEP as u64));
+        let mut random = Random::new(hash(self.view.seed ^ hash(pixel ^ (depth * SAMPLES + sample) as u64)));
+        throughput[walker.pixel * bands..][..bands].iter_mut().for_each(|carried| *carried /= odds);
+        random.uniform() < odds
     }
 
     /// Where the paths that the bound has cut light from go next.

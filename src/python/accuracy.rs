@@ -97,7 +97,7 @@ pub(super) fn assess(
     progress: Option<Bound<'_, PyAny>>,
 ) -> PyResult<(f64, u64)> {
     let scene = Arc::clone(&scene.scene);
-    let irradiance = values(&irradiance);
+    let irradiance = values(&irradiance)?;
     let options = options(tolerance, false, false, seed, memory);
     let assessment =
         run(py, threads, progress.as_ref(), move |progress| accuracy::assess(&scene, &irradiance, &options, progress))?;

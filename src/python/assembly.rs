@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 
@@ -13,6 +13,7 @@ use super::scene::Scene;
 use crate::assembly::matrix::{DenseMatrix, SparseMatrix};
 use crate::assembly::{Dense, DenseOptions, Estimator, FormFactors as Operator, Sampled, SampledOptions, balance};
 use crate::hierarchy::{self, HierarchicalOptions, Links, Reached};
+use crate::memory::{filled, room};
 use crate::progress::Progress;
 
 /// Links, a row each, and the patches in the order of the tree.
@@ -140,7 +141,7 @@ impl FormFactors {
     #[staticmethod]
     fn from_array(array: PyReadonlyArray2<f64>) -> PyResult<FormFactors> {
         let n = array.as_array().nrows();
-        DenseMatrix::new(n, values(&array)).map(FormFactors::brought).map_err(to_python)
+        DenseMatrix::new(n, values(&array)?).map(FormFactors::brought).map_err(to_python)
     }
 
     /// The three arrays of compressed sparse rows that the user brings.
@@ -150,11 +151,11 @@ impl FormFactors {
         index: PyReadonlyArray1<i64>,
         value: PyReadonlyArray1<f64>,
     ) -> PyResult<FormFactors> {
+        let (mut starts, mut indices) = (room(start.len()).map_err(to_python)?, room(index.len()).map_err(to_python)?);
         // What does not fit becomes too large to be in range, and is refused by the core.
-        let start = start.as_array().iter().map(|&k| usize::try_from(k).unwrap_or(usize::MAX)).collect();
-        let index = index.as_array().iter().map(|&j| u32::try_from(j).unwrap_or(u32::MAX)).collect();
-        let value = value.as_array().to_vec();
-        SparseMatrix::new(start, index, value).map(FormFactors::brought).map_err(to_python)
+        starts.extend(start.as_array().iter().map(|&k| usize::try_from(k).unwrap_or(usize::MAX)));
+        indices.extend(index.as_array().iter().map(|&j| u32::try_from(j).unwrap_or(u32::MAX)));
+        SparseMatrix::new(starts, indices, values(&value)?).map(FormFactors::brought).map_err(to_python)
     }
 
     /// Bytes that the dense operator of n patches holds at least.
@@ -200,19 +201,19 @@ impl FormFactors {
         Ok(vector(py, remainder))
     }
 
-    fn reciprocity_error(&self, py: Python<'_>) -> Option<f64> {
-        py.detach(|| balance::reciprocity_error(self.operator.as_ref()))
+    fn reciprocity_error(&self, py: Python<'_>) -> PyResult<Option<f64>> {
+        py.detach(|| in_pool(None, || balance::reciprocity_error(self.operator.as_ref())))
     }
 
     fn apply<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let bands = x.as_array().ncols();
-        let x = values(&x);
+        let x = values(&x)?;
         let product = || {
-            let mut out = vec![0.0; x.len()];
+            let mut out = filled(x.len(), 0.0)?;
             self.operator.apply(&x, bands, &mut out);
-            out
+            Ok(out)
         };
-        let out = py.detach(|| in_pool(None, product))?;
+        let out = py.detach(|| in_pool(None, product))?.map_err(to_python)?;
         table(py, out, bands)
     }
 

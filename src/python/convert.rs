@@ -1,11 +1,13 @@
 //! Between numpy arrays and the core's flat vectors. Python has already checked types and shapes.
 
-use numpy::ndarray::Array2;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::ndarray::{Array2, Dimension};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+use super::error::to_python;
 use crate::geometry::Vec3;
+use crate::memory::room;
 
 /// An (m, 3) array as points.
 pub(super) fn points(array: &PyReadonlyArray2<f64>) -> PyResult<Vec<Vec3>> {
@@ -13,7 +15,10 @@ pub(super) fn points(array: &PyReadonlyArray2<f64>) -> PyResult<Vec<Vec3>> {
     if width != 3 {
         return Err(shape_error("(m, 3)", array.shape()));
     }
-    Ok(array.as_array().rows().into_iter().map(|row| Vec3::new(row[0], row[1], row[2])).collect())
+    let rows = array.as_array();
+    let mut points = room(rows.nrows()).map_err(to_python)?;
+    points.extend(rows.rows().into_iter().map(|row| Vec3::new(row[0], row[1], row[2])));
+    Ok(points)
 }
 
 /// The rows of an (m, 3) array.
@@ -32,14 +37,25 @@ pub(super) fn shape_error(expected: &str, got: &[usize]) -> PyErr {
     PyValueError::new_err(format!("an array of shape {expected} is expected, not {got:?}"))
 }
 
-/// Any two-dimensional array, row-major.
-pub(super) fn values<T: Copy + numpy::Element>(array: &PyReadonlyArray2<T>) -> Vec<T> {
-    array.as_array().iter().copied().collect()
+/// Any array, row-major.
+pub(super) fn values<T: Copy + numpy::Element, D: Dimension>(array: &PyReadonlyArray<T, D>) -> PyResult<Vec<T>> {
+    let mut values = room(array.len()).map_err(to_python)?;
+    values.extend(array.as_array().iter().copied());
+    Ok(values)
+}
+
+/// A copy of what the core holds.
+pub(super) fn copied<T: Copy>(values: &[T]) -> PyResult<Vec<T>> {
+    let mut out = room(values.len()).map_err(to_python)?;
+    out.extend_from_slice(values);
+    Ok(out)
 }
 
 /// Points as an (m, 3) array.
 pub(super) fn from_points<'py>(py: Python<'py>, points: &[Vec3]) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    table(py, points.iter().flat_map(Vec3::to_array).collect(), 3)
+    let mut values = room(3 * points.len()).map_err(to_python)?;
+    points.iter().for_each(|point| values.extend(point.to_array()));
+    table(py, values, 3)
 }
 
 /// A flat vector as an array with `columns` columns.

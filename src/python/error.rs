@@ -10,7 +10,7 @@ pub(super) fn to_python(error: Error) -> PyErr {
     let text = error.to_string();
     match error {
         Error::Invalid(_) => PyValueError::new_err(text),
-        Error::Memory { .. } => PyMemoryError::new_err(text),
+        Error::Memory { .. } | Error::OutOfMemory => PyMemoryError::new_err(text),
         Error::Interrupted => PyKeyboardInterrupt::new_err(text),
     }
 }

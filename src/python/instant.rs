@@ -98,7 +98,7 @@ pub(super) fn instant<'py>(
     };
     let lights = Lights {
         points: at.map(point).collect(),
-        flux: values(&flux),
+        flux: values(&flux)?,
         bounce: bounce.as_array().iter().map(|&j| j as u32).collect(),
         particles: 0,
         left_out: 0.0,

@@ -10,14 +10,23 @@ mod form_factor;
 mod hierarchy;
 mod instant;
 mod render;
+mod reserve;
 mod run;
 mod scene;
 mod solve;
 
 use pyo3::prelude::*;
 
-#[pymodule]
+// Free-threaded Python is not promised: nobody has tested it.
+#[pymodule(gil_used = true)]
 mod _core {
+    #[pymodule_init]
+    fn init(_module: &super::Bound<'_, super::PyModule>) -> super::PyResult<()> {
+        // Calls that copy arrays come before the first work. Where there is no room yet, work says so.
+        super::reserve::hold();
+        Ok(())
+    }
+
     #[pymodule_export]
     use super::accuracy::{assess, forecast_scene, solve_scene};
     #[pymodule_export]
@@ -30,6 +39,8 @@ mod _core {
     use super::instant::{instant, places, virtual_lights};
     #[pymodule_export]
     use super::render::{corner_irradiance, gather, render};
+    #[pymodule_export]
+    use super::run::start_threads;
     #[pymodule_export]
     use super::scene::Scene;
     #[pymodule_export]

@@ -38,9 +38,9 @@ pub(super) fn render<'py>(
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
     let camera = camera(viewpoint)?;
-    let light = values(&light);
+    let light = values(&light)?;
     let bands = scene.scene.bands();
-    let corners = smooth.then(|| scene.corners(py));
+    let corners = smooth.then(|| scene.corners(py)).transpose()?;
     let (tree, scene) = (scene.tree(py)?, Arc::clone(&scene.scene));
     let pixels = run(py, threads, progress.as_ref(), move |progress| {
         let shading = corners.as_deref().map_or(Shading::Flat(&light), |corners| Shading::Smooth(corners, &light));
@@ -74,7 +74,7 @@ pub(super) fn gather<'py>(
 ) -> PyResult<(Bound<'py, PyArray3<f64>>, f64, usize)> {
     let camera = camera(viewpoint)?;
     let options = GatherOptions { width, height, tolerance, seed, memory };
-    let irradiance = values(&irradiance);
+    let irradiance = values(&irradiance)?;
     let shape = [height, width, scene.scene.bands()];
     let (tree, scene) = (scene.tree(py)?, Arc::clone(&scene.scene));
     let raised = Raised::default();
@@ -102,8 +102,8 @@ pub(super) fn corner_irradiance<'py>(
     irradiance: PyReadonlyArray2<f64>,
     threads: Option<usize>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    let irradiance = values(&irradiance);
-    let (corners, scene) = (scene.corners(py), Arc::clone(&scene.scene));
+    let irradiance = values(&irradiance)?;
+    let (corners, scene) = (scene.corners(py)?, Arc::clone(&scene.scene));
     let shape = [scene.len(), 3, scene.bands()];
     let corners = run(py, threads, None, move |_| Ok(corners.irradiance(&scene, &irradiance)))?;
     image_array(py, corners, shape)

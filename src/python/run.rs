@@ -5,10 +5,11 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use pyo3::exceptions::PyRuntimeError;
+use pyo3::exceptions::{PyMemoryError, PyRuntimeError};
 use pyo3::prelude::*;
 
 use super::error::to_python;
+use super::reserve;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 
@@ -25,14 +26,15 @@ pub(super) fn run<T: Send + 'static>(
     report: Option<&Bound<'_, PyAny>>,
     work: impl FnOnce(&Progress) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
-    let progress = Arc::new(Progress::default());
+    let progress = Arc::new(Progress::that_watches(&reserve::OUT));
     let (send, mut receive) = channel();
     let shared = Arc::clone(&progress);
-    std::thread::spawn(move || {
+    let worker = move || {
         let outcome = catch_unwind(AssertUnwindSafe(|| in_pool(threads, || work(&shared))));
         // The receiver is gone when the caller was interrupted: nobody wants the result then.
         let _ = send.send(outcome);
-    });
+    };
+    std::thread::Builder::new().spawn(worker).map_err(|error| no_threads(1, &error))?;
     loop {
         let received;
         (received, receive) = py.detach(move || (receive.recv_timeout(POLL), receive));
@@ -85,20 +87,36 @@ impl Raised {
     }
 }
 
-/// The process that the shared pool of threads belongs to: a fork has its memory but not its threads.
-static POOL_OWNER: OnceLock<u32> = OnceLock::new();
+/// The process that the shared pool of threads belongs to: a fork has its memory but not its threads. `None` where the pool
+/// could not be started, which rayon tries once only.
+static POOL_OWNER: OnceLock<Option<u32>> = OnceLock::new();
 
 /// Runs `work` in a pool of `threads` threads; `None` for the shared pool of all cores.
 pub(super) fn in_pool<T: Send>(threads: Option<usize>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
+    if !reserve::hold() {
+        return Err(to_python(Error::OutOfMemory));
+    }
+    let id = std::process::id();
+    let start = || rayon::ThreadPoolBuilder::new().build_global().ok().map(|()| id);
     let threads = match threads {
-        None if *POOL_OWNER.get_or_init(std::process::id) == std::process::id() => return Ok(work()),
-        // In a fork, a pool of its own; 0 means all cores.
+        None if *POOL_OWNER.get_or_init(start) == Some(id) => return Ok(work()),
+        // A pool of its own; 0 means all cores.
         None => 0,
         Some(threads) => threads,
     };
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|e| PyRuntimeError::new_err(format!("cannot start {threads} threads: {e}")))?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|e| no_threads(threads, &e))?;
     Ok(pool.install(work))
+}
+
+/// Starts the shared pool, and has each of its threads take what the C library sets aside for a thread: what is left then is
+/// there for work.
+#[pyfunction]
+pub(super) fn start_threads(py: Python<'_>) -> PyResult<()> {
+    py.detach(|| in_pool(None, || rayon::broadcast(|_| drop(std::hint::black_box(Box::new(0u8))))))?;
+    Ok(())
+}
+
+/// Threads need memory for their stacks, which is what they lack as a rule.
+fn no_threads(threads: usize, error: &dyn std::error::Error) -> PyErr {
+    PyMemoryError::new_err(format!("cannot start {threads} threads: {error}"))
 }

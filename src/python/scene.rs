@@ -6,11 +6,12 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-use super::convert::{Rows, from_points, points, rows, shape_error, table, values, vector};
+use super::convert::{Rows, copied, from_points, points, rows, shape_error, table, values, vector};
 use super::error::to_python;
 use super::run::{in_pool, run};
 use crate::error::{Error, Result};
 use crate::geometry::Vec3;
+use crate::memory::filled;
 use crate::render::Corners;
 use crate::scene::{Description, Material, Scene as CoreScene, Sides};
 use crate::visibility::{Bvh, NO_PATCH, Ray, Segment};
@@ -42,8 +43,9 @@ impl Scene {
         py.detach(|| in_pool(None, build))
     }
 
-    pub(super) fn corners(&self, py: Python<'_>) -> Arc<Corners> {
-        py.detach(|| Arc::clone(self.corners.get_or_init(|| Arc::new(Corners::new(&self.scene)))))
+    pub(super) fn corners(&self, py: Python<'_>) -> PyResult<Arc<Corners>> {
+        let find = || Arc::clone(self.corners.get_or_init(|| Arc::new(Corners::new(&self.scene))));
+        py.detach(|| in_pool(None, find))
     }
 }
 
@@ -63,8 +65,8 @@ impl Scene {
             vertices: points(&vertices)?,
             faces: faces.as_array().rows().into_iter().map(|row| [row[0], row[1], row[2]]).collect(),
             bands: reflectance.as_array().ncols(),
-            reflectance: values(&reflectance),
-            emission: values(&emission),
+            reflectance: values(&reflectance)?,
+            emission: values(&emission)?,
             materials: materials(&mirror, &ior),
             sides: if both_sides { Sides::Both } else { Sides::Front },
         };
@@ -83,12 +85,12 @@ impl Scene {
 
     #[getter]
     fn reflectance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        table(py, self.scene.reflectance().to_vec(), self.scene.bands())
+        table(py, copied(self.scene.reflectance())?, self.scene.bands())
     }
 
     #[getter]
     fn emission<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        table(py, self.scene.emission().to_vec(), self.scene.bands())
+        table(py, copied(self.scene.emission())?, self.scene.bands())
     }
 
     /// Of each patch the fraction that it mirrors, and its index of refraction, nan where it is no glass.
@@ -104,8 +106,8 @@ impl Scene {
     }
 
     #[getter]
-    fn areas<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        vector(py, self.scene.areas().to_vec())
+    fn areas<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        Ok(vector(py, copied(self.scene.areas())?))
     }
 
     #[getter]
@@ -138,7 +140,9 @@ impl Scene {
             return Err(to_python(Error::Invalid(format!("ray {k}: its direction is zero"))));
         }
         let m = origins.len();
-        let (mut patches, mut distances, mut barycentric) = (vec![0; m], vec![0.0; m], vec![0.0; 2 * m]);
+        let room = |count| filled(count, 0.0).map_err(to_python);
+        let mut patches = filled(m, 0).map_err(to_python)?;
+        let (mut distances, mut barycentric) = (room(m)?, room(2 * m)?);
         let answers = patches.chunks_mut(SHARE).zip(distances.chunks_mut(SHARE)).zip(barycentric.chunks_mut(2 * SHARE));
         let questions = origins.chunks(SHARE).zip(directions.chunks(SHARE));
         shares(py, threads, questions.zip(answers), |((origins, directions), ((patches, distances), barycentric))| {
@@ -172,7 +176,7 @@ impl Scene {
         let (p, q) = pair(&p, &q)?;
         let tree = self.tree(py)?;
         py.detach(|| check_rays(&[("start", p), ("end", q)])).map_err(to_python)?;
-        let mut blocked = vec![false; p.len()];
+        let mut blocked = filled(p.len(), false).map_err(to_python)?;
         let questions = p.chunks(SHARE).zip(q.chunks(SHARE));
         shares(py, threads, questions.zip(blocked.chunks_mut(SHARE)), |((p, q), blocked)| {
             let questions = p.par_chunks(BATCH).zip(q.par_chunks(BATCH));

@@ -33,7 +33,7 @@ pub(super) fn solve<'py>(
     let method: Method = method.parse().map_err(to_python)?;
     let operator = Arc::clone(&form_factors.operator);
     let bands = emission.as_array().ncols();
-    let (emission, reflectance) = (values(&emission), values(&reflectance));
+    let (emission, reflectance) = (values(&emission)?, values(&reflectance)?);
     let raised = Raised::default();
     let slot = raised.clone();
     let outcome = run(py, threads, progress.as_ref(), move |progress| {
@@ -82,8 +82,8 @@ pub(super) fn ambient<'py>(
     areas: PyReadonlyArray1<f64>,
     unshot: PyReadonlyArray2<f64>,
     reflectance: PyReadonlyArray2<f64>,
-) -> Bound<'py, PyArray1<f64>> {
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
     let bands = unshot.as_array().ncols();
-    let areas = areas.as_array().to_vec();
-    vector(py, crate::solve::southwell::ambient(&areas, &values(&unshot), &values(&reflectance), bands))
+    let ambient = crate::solve::southwell::ambient(&values(&areas)?, &values(&unshot)?, &values(&reflectance)?, bands);
+    Ok(vector(py, ambient))
 }

@@ -35,10 +35,15 @@ impl Camera {
         if view.length() <= 0.0 {
             return Err(Error::Invalid(format!("camera target {target} is the same point as its origin")));
         }
+        if !view.length().is_finite() {
+            return Err(Error::Invalid(format!("camera target {target} is too far from its origin {origin}")));
+        }
         let forward = view.normalize();
-        let side = forward.cross(up);
+        // Its square may overflow where its coordinates do not.
+        let upward = up / up.abs().max_element();
+        let side = forward.cross(upward);
         // An angle below 1e-9 between up and the view leaves the horizon to rounding.
-        if !(side.length() > 1e-9 * up.length()) {
+        if !(side.length() > 1e-9 * upward.length()) {
             return Err(Error::Invalid(format!("camera up {up} is parallel to the view direction {forward}")));
         }
         let right = side.normalize();

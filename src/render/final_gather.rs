@@ -32,6 +32,7 @@ use crate::direct::lamps::Asked;
 use crate::direct::{Caustics, Lamps, SCRAMBLES, Surroundings};
 use crate::error::{Error, Result};
 use crate::geometry::sampling::{Sobol, hash};
+use crate::memory::filled;
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::visibility::{Bvh, NO_PATCH, Ray};
@@ -125,10 +126,10 @@ pub fn gather(
         caustics: Caustics::of_scene(scene, &lamps),
         corners: Corners::new(scene),
         seen: vec![0.0; width.div_ceil(TILE) * height.div_ceil(TILE) * lamps.lamps.len() * 2],
-        disagree: vec![false; width * height],
+        disagree: filled(width * height, false)?,
     };
-    let mut sums = [(); HALVES].map(|()| vec![0.0; width * height * bands]);
-    let mut emits = vec![false; width * height];
+    let mut sums = [filled(width * height * bands, 0.0)?, filled(width * height * bands, 0.0)?];
+    let mut emits = filled(width * height, false)?;
     view.glance(progress)?;
     let mut passes = 0;
     loop {
@@ -224,8 +225,8 @@ impl View<'_> {
 
     /// Looks first of all which lamps the tiles see, and where samples disagree.
     fn glance(&mut self, progress: &Progress) -> Result<()> {
-        let mut pixels = vec![0.0; self.disagree.len() * self.gatherer.surroundings.scene.bands()];
-        let mut found = vec![Found::default(); self.disagree.len()];
+        let mut pixels = filled(self.disagree.len() * self.gatherer.surroundings.scene.bands(), 0.0)?;
+        let mut found = filled(self.disagree.len(), Found::default())?;
         let stream = hash(self.seed ^ hash(2 * HALVES as u64));
         let width = self.width;
         let is_wanted = |pixel: usize| (pixel / width).is_multiple_of(GLANCE) && (pixel % width).is_multiple_of(GLANCE);
@@ -271,8 +272,7 @@ impl View<'_> {
         let size = [self.width, self.height];
         let cache = IrradianceCache::new(&self.gatherer, self.camera, size, detail, seed, progress)?;
         let indirect = Indirect { cache, caustics: self.caustics_of(half) };
-        let mut pixels = vec![0.0; sums.len()];
-        let mut found = vec![Found::default(); emits.len()];
+        let (mut pixels, mut found) = (filled(sums.len(), 0.0)?, filled(emits.len(), Found::default())?);
         let numbers = |count: u32| pass as u32 * count..(pass as u32 + 1) * count;
         let stream = |k: usize| hash(self.seed ^ hash((2 * half + k) as u64));
         let uneven = around(&self.disagree, self.width);

@@ -10,6 +10,7 @@ use super::sight::{Sight, around, check_size};
 use super::{Camera, Corners};
 use crate::error::Result;
 use crate::geometry::sampling::{Sobol, hash};
+use crate::memory::filled;
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::visibility::{Bvh, Hit, NO_PATCH, Ray};
@@ -94,7 +95,7 @@ pub fn render(
             }
         }
     };
-    let mut pixels = vec![0.0; width * height * bands];
+    let mut pixels = filled(width * height * bands, 0.0)?;
     progress.expect(height as u64);
     pixels.par_chunks_mut(width * bands).enumerate().try_for_each(|(y, row)| {
         for (part, sums) in row.chunks_mut(TOGETHER * bands).enumerate() {

@@ -121,6 +121,7 @@ macro_rules! for_every_machine {
                 // SAFETY: only what `Instructions::available` has found on this processor can be asked for.
                 #[cfg(target_arch = "x86_64")]
                 simd::Instructions::Avx2 => unsafe { avx2($($arg),*) },
+                // SAFETY: the same.
                 #[cfg(target_arch = "x86_64")]
                 simd::Instructions::Avx512 => unsafe { avx512($($arg),*) },
                 _ => $kernel::<simd::Portable>($($arg),*),

@@ -9,7 +9,10 @@ use faer::{Conj, Mat, Par};
 
 use super::{Options, Run, System, irradiance, residual};
 use crate::error::{Error, Result};
+use crate::memory::room;
 
+/// Bytes of scratch of a thread: twice the last cache of the processor, which has 64 MiB at most for most.
+const SCRATCH: usize = 128 << 20;
 /// How far the library splits its work, whatever the number of threads: the same bits every time.
 const SPLIT: usize = 16;
 
@@ -26,6 +29,8 @@ pub(super) fn solve(system: &System, options: &Options, run: &mut Run) -> Result
             remedy: "use an iterative method such as \"gauss_seidel\"".to_string(),
         });
     }
+    // The library ends the process where there is no room for its matrix or its scratch: both are asked for beforehand.
+    drop(room::<u8>(needed as usize + rayon::current_num_threads().min(SPLIT) * SCRATCH)?);
     let mut radiosity = vec![0.0; n * bands];
     let mut pending: Vec<usize> = (0..bands).collect();
     while let Some(&first) = pending.first() {

@@ -198,3 +198,33 @@ def test_rays_from_beyond_all_bounds_hit_nothing_and_harm_nothing():
     room = rad.Scene(0.5 * room.vertices, room.faces)
     assert room.occluded([[1e308] * 3], [[0.1] * 3]).tolist() == [False]
     assert room.intersect([[1e308, 0, 0]], [[-1.0, 0, 0]]).patch.tolist() == [-1]
+
+
+def test_light_beyond_the_numbers_is_refused_by_patch():
+    with pytest.raises(ValueError, match=r"patch \d+: its radiosity comes out as (inf|NaN)"):
+        rad.solve(rad.scenes.furnace(0.5, 1.7e308), 0.3)
+
+
+def test_a_bound_of_nearly_nothing_takes_no_longer_than_others():
+    room = rad.scenes.furnace(0.5, 1.0)
+    camera = rad.Camera((0.5, 0.5, 0.9), (0.5, 0.6, 0.0))
+    # Every path goes on at every bounce: it ends at random, not when nothing is left to carry.
+    image = rad.instant(room, camera, 8, 8, 256, bound=5e-324)
+    assert np.isfinite(image).all()
+    # E / (pi (1 - rho)). Pixels differ by some 5 %: the mean of 64 of them is within 5 % at eight standard errors.
+    assert abs(image.mean() / (2.0 / np.pi) - 1.0) < 0.05
+
+
+@pytest.mark.parametrize(("origin", "up"), [((0, 0, 1e160), (0, 1, 0)), ((0, 0, 1e308), (0, 1, 0))])
+def test_a_camera_from_beyond_all_bounds_is_refused(origin, up):
+    with pytest.raises(ValueError, match="m from its origin, outside"):
+        rad.Camera(origin, (0, 0, -1e308), up)
+
+
+def test_an_up_of_any_length_is_a_direction():
+    room = rad.scenes.furnace(0.5, 1.0)
+    solution = rad.solve(room, 0.3)
+    images = [
+        rad.render(solution, rad.Camera((0.5, 0.5, 0.9), (0.5, 0.6, 0), (0, y, 0)), 8, 8) for y in (1.0, 2.0**1000)
+    ]
+    assert np.array_equal(*images)

@@ -124,3 +124,49 @@ def test_splitting_patches_keeps_the_sums(scene):
 
 def _rotation(rng):
     return trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+
+
+@st.composite
+def heaps(draw):
+    """Triangles of all sizes that float about without touching: open, and much of it hidden."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    # On a grid of unit cells; a triangle within 0.45 of the middle of its own.
+    cells = rng.permutation(27)[: draw(st.integers(2, 20))]
+    middles = np.stack(np.unravel_index(cells, (3, 3, 3)), axis=1).astype(float)
+    corners = rng.normal(size=(len(cells), 3, 3))
+    corners *= 0.45 * rng.uniform(0.2, 1.0, (len(cells), 1, 1)) / np.linalg.norm(corners, axis=2, keepdims=True)
+    corners += middles[:, None]
+    sides = draw(st.sampled_from(["front", "both"]))
+    return rad.Scene(corners.reshape(-1, 3), np.arange(3 * len(cells)).reshape(-1, 3), sides=sides)
+
+
+@given(heaps())
+@SLOW
+def test_what_is_hidden_is_less_and_no_row_sums_to_more_than_one(scene):
+    triangles = scene.vertices[scene.faces]
+    i, j = np.triu_indices(scene.n_patches, 1)
+    unoccluded = np.zeros((scene.n_patches, scene.n_patches))
+    unoccluded[i, j] = rad.pair_form_factors(triangles[i], triangles[j], progress=False)
+    unoccluded[j, i] = rad.pair_form_factors(triangles[j], triangles[i], progress=False)
+    F = rad.form_factors(scene, tolerance=TOLERANCE)
+    matrix = F.toarray()
+    assert (matrix >= 0).all()
+    # The kernels of the scene are chosen for a part of its tolerance.
+    assert (matrix <= unoccluded * (1 + TOLERANCE)).all()
+    assert F.row_sums.max() <= 1 + F.error_estimate
+    exchange = scene.areas[:, None] * matrix
+    assert np.allclose(exchange, exchange.T, rtol=4 * np.finfo(float).eps, atol=0)
+
+
+@given(st.one_of(rooms(), heaps()), st.integers(0, 2**32 - 1))
+@SLOW
+def test_no_power_is_lost_or_made_whichever_the_scene_and_solver(scene, seed):
+    rng = np.random.default_rng(seed)
+    n = scene.n_patches
+    F = rad.form_factors(scene, tolerance=TOLERANCE)
+    method = ("direct", "jacobi", "gauss_seidel", "southwell", "overshooting", "gmres")[seed % 6]
+    solution = rad.solve_system(F, rng.random((n, 2)), rng.uniform(0, 0.9, (n, 2)), method)
+    assert solution.report.audit.imbalance <= 1e-12
+    # Light only adds: nothing falls below what it emits by itself, but for the residual that a solver may leave.
+    slack = 0.0 if method != "overshooting" else 1e-5 * solution.radiosity.max()
+    assert (solution.radiosity >= solution.scene.emission * (1 - 1e-12) - slack).all()

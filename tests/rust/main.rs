@@ -12,6 +12,8 @@ mod direct;
 mod final_gather;
 mod form_factor;
 mod form_factor_estimators;
+mod fuzz;
+mod fuzz_case;
 mod geometry;
 mod hierarchy;
 mod instant;

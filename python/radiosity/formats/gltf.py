@@ -32,7 +32,7 @@ def read_gltf(file: Path, data: bytes, notes: list[str]) -> list[Part]:
 
     materials = tree.get("materials", [])
     primitives = [(m, primitive) for m, mesh in enumerate(tree.get("meshes", [])) for primitive in mesh["primitives"]]
-    geometries = list(trimesh_scene(file, data).geometry.values()) if primitives else []
+    geometries = list(trimesh_scene(file, data, notes).geometry.values()) if primitives else []
     if len(geometries) != len(primitives):
         raise MeshError(f"it holds {len(primitives)} primitives, but trimesh read {len(geometries)}")
     of_mesh: dict[int, list[tuple[Any, Surface]]] = {}

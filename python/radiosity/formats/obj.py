@@ -25,7 +25,7 @@ def read_obj(file: Path, data: bytes, notes: list[str]) -> list[Part]:
     materials = _mtl_materials(file, text, notes)
 
     parts = []
-    scene = trimesh_scene(file, data, split_objects=True, split_groups=True)
+    scene = trimesh_scene(file, data, notes, split_objects=True, split_groups=True)
     # trimesh builds the groups from the last to the first.
     for name, geometry in reversed(scene.geometry.items()):
         mesh = triangles_only(geometry, name)

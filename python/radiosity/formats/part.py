@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,14 +102,31 @@ def _joined(parts: Sequence[Part], quantity: str, default: float) -> float | Flo
     )
 
 
-def trimesh_scene(file: Path, data: bytes, **options: Any) -> Any:
-    """Let trimesh read the file, vertices and faces as they stand in it."""
+def trimesh_scene(file: Path, data: bytes, notes: list[str], **options: Any) -> Any:
+    """Let trimesh read the file, vertices and faces as they stand in it; `notes` gets what it logs as left out."""
     import trimesh
 
-    return trimesh.load_scene(
-        io.BytesIO(data),
-        file_type=file.suffix.lower()[1:],
-        resolver=trimesh.resolvers.FilePathResolver(str(file.absolute())),
-        process=False,
-        **options,
-    )
+    listener = _Listener(notes)
+    logger = logging.getLogger("trimesh")
+    logger.addHandler(listener)
+    try:
+        return trimesh.load_scene(
+            io.BytesIO(data),
+            file_type=file.suffix.lower()[1:],
+            resolver=trimesh.resolvers.FilePathResolver(str(file.absolute())),
+            process=False,
+            **options,
+        )
+    finally:
+        logger.removeHandler(listener)
+
+
+class _Listener(logging.Handler):
+    """Turns what trimesh would log on stderr into notes."""
+
+    def __init__(self, notes: list[str]) -> None:
+        super().__init__(logging.WARNING)
+        self._notes = notes
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._notes.append(record.getMessage().strip("!"))

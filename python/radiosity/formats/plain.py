@@ -13,12 +13,11 @@ from .part import SOLVED, MeshError, Part, part_of, triangles_only, trimesh_scen
 
 
 def read_plain(file: Path, data: bytes, notes: list[str]) -> list[Part]:
-    """Read PLY and STL: one mesh, or the solids of a text STL."""
-    del notes
+    """Read PLY and STL: one mesh, or the solids of a text STL; `notes` gets what is left out."""
     extension = file.suffix.lower()[1:]
     expected, solids = _stl_contents(data) if extension == "stl" else (None, [])
     parts = []
-    geometries = trimesh_scene(file, data).geometry.values()
+    geometries = trimesh_scene(file, data, notes).geometry.values()
     titles = solids if len(solids) == len(geometries) else [""] * len(geometries)
     for title, geometry in zip(titles, geometries, strict=True):
         mesh = triangles_only(geometry, file.name)
