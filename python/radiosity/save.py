@@ -209,6 +209,8 @@ def _checked(plain: dict[str, Any]) -> dict[str, Any]:
         kind = kinds.get(name)
         if kind is None or not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             raise TypeError(f"{name} {value!r}")
+        if isinstance(value, int) and value.bit_length() > 64:
+            raise TypeError(f"{name}, a number of {value.bit_length()} bits")
     if not all(isinstance(seconds, float) for seconds in plain.get("seconds", {}).values()):
         raise TypeError("seconds")
     return plain

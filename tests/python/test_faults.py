@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import multiprocessing
 import os
 import subprocess
@@ -166,6 +167,17 @@ def test_pickles_in_a_solution_are_never_loaded(tmp_path):
         with pytest.raises(ValueError, match=r"trap\.npz"):
             rad.load_solution(tmp_path / "trap.npz")
     assert not (tmp_path / "sprung").exists()
+
+
+@pytest.mark.parametrize("residual", ["small", None, [], 10**400])
+def test_an_edited_report_is_refused(residual, tmp_path):
+    with np.load(CORPUS / "rays.npz") as file:
+        arrays = {name: file[name] for name in file.files}
+    report = json.loads(str(arrays["report"]))
+    arrays["report"] = np.array(json.dumps({**report, "residual": residual}))
+    np.savez(tmp_path / "edited.npz", **arrays)
+    with pytest.raises(ValueError, match=r"edited\.npz"):
+        rad.load_solution(tmp_path / "edited.npz")
 
 
 @POSIX
