@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import read_only, real_number, whole_number
+from .arrays import FloatArray, read_only, real_number, whole_number
 from .files import replacing
 from .gltf import glb
 from .render import exposure_of, to_srgb
@@ -132,11 +132,8 @@ def load_solution(path: str | os.PathLike[str]) -> Solution:
         solution = _solution_of(contents)
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path}: damaged, {error!r} is missing or wrong") from error
-    shapes = {solution.radiosity.shape, solution.irradiance.shape}
-    if solution.scene is not None:
-        shapes.add((solution.scene.n_patches, solution.scene.bands))
-    if len(shapes) > 1:
-        raise ValueError(f"{path}: damaged, its arrays have the shapes {sorted(shapes)}")
+    except ValueError as error:
+        raise ValueError(f"{path}: damaged, {error}") from error
     return solution
 
 
@@ -183,20 +180,35 @@ def _solution_of(contents: Mapping[str, Any]) -> Solution:
         scene = Scene(vertices, faces, reflectance, emission, names=names, **specular)
         parent = get("parent")
         scene.parent = None if parent is None else read_only(parent)
+    n, bands = np.shape(contents["radiosity"])
+    if scene is not None and (n, bands) != (scene.n_patches, scene.bands):
+        raise ValueError(f"radiosity has the shape {(n, bands)} and the scene {(scene.n_patches, scene.bands)}")
+
+    def numbers(name: str, *shape: int) -> FloatArray:
+        array: FloatArray = contents[name]
+        if array.dtype != np.float64 or array.shape != shape:
+            raise ValueError(f"{name} is {array.dtype} of shape {array.shape} and not float64 of {shape}")
+        return read_only(array)
+
+    def if_there(name: str, *shape: int) -> FloatArray | None:
+        return numbers(name, *shape) if name in contents else None
+
     audit = None
     if "audit/emitted" in contents:
-        audit = EnergyAudit(**{part.name: contents[f"audit/{part.name}"] for part in dataclasses.fields(EnergyAudit)})
-    bound, error = get("bound"), get("standard_error")
+        powers = {part.name: numbers(f"audit/{part.name}", bands) for part in dataclasses.fields(EnergyAudit)}
+        audit = EnergyAudit(**powers)
     plain = json.loads(str(contents["report"]))
     of_elements = {name.removeprefix("elements/"): value for name, value in contents.items() if "elements/" in name}
-    steps = zip(contents["residuals"].tolist(), contents["unshot"], strict=True)
+    steps = len(contents["residuals"])
+    # Without a step nothing tells the number of bands.
+    unshot = numbers("unshot", steps, bands if steps else 0)
     return Solution(
-        radiosity=read_only(contents["radiosity"]),
-        irradiance=read_only(contents["irradiance"]),
-        standard_error=None if error is None else read_only(error),
-        error_estimate=float(contents["error_estimate"]),
-        history=tuple(Step(residual, unshot) for residual, unshot in steps),
-        report=Report(**_checked(plain), audit=audit, bound=None if bound is None else read_only(bound)),
+        radiosity=numbers("radiosity", n, bands),
+        irradiance=numbers("irradiance", n, bands),
+        standard_error=if_there("standard_error", n, bands),
+        error_estimate=float(numbers("error_estimate")),
+        history=tuple(map(Step, numbers("residuals", steps).tolist(), unshot)),
+        report=Report(**_checked(plain), audit=audit, bound=if_there("bound", bands)),
         scene=scene,
         elements=_solution_of(of_elements) if of_elements else None,
     )

@@ -44,8 +44,8 @@ class EnergyAudit:
     @property
     def imbalance(self) -> float:
         """abs(emitted - absorbed - left - unshot) / emitted, the largest over the bands; 0 without emission."""
-        gap = np.abs(self.emitted - self.absorbed - self.left - self.unshot)
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
+            gap = np.abs(self.emitted - self.absorbed - self.left - self.unshot)
             return float(np.max(np.divide(gap, self.emitted, out=np.zeros_like(gap), where=self.emitted > 0)))
 
 

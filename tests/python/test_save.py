@@ -195,3 +195,25 @@ def test_other_endings_are_sent_to_who_writes_them(solution, tmp_path):
     (tmp_path / "x.npz").write_bytes(b"")
     with pytest.raises(ValueError, match="load_solution reads saved solutions"):
         rad.load(tmp_path / "x.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("radiosity", np.zeros(3)),
+        ("irradiance", np.zeros((3, 1))),
+        ("irradiance", np.array([["x"]])),
+        ("unshot", np.zeros((1, 7))),
+        ("bound", np.zeros(9)),
+        ("audit/left", np.zeros((1, 1))),
+        ("error_estimate", np.zeros(2)),
+        ("faces", np.zeros((1, 3), np.int64)),
+    ],
+)
+def test_arrays_of_another_kind_are_refused_by_name(solution, tmp_path, name, value):
+    rad.save(solution, tmp_path / "sound.npz")
+    with np.load(tmp_path / "sound.npz") as file:
+        arrays = {each: file[each] for each in file.files}
+    np.savez(tmp_path / "edited.npz", **{**arrays, name: value})
+    with pytest.raises(ValueError, match=r"edited\.npz: damaged"):
+        rad.load_solution(tmp_path / "edited.npz")
