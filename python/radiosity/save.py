@@ -152,7 +152,9 @@ def _contents(solution: Solution) -> dict[str, Any]:
         "standard_error": solution.standard_error,
         "error_estimate": np.float64(solution.error_estimate),
         "residuals": np.array([step.residual for step in solution.history]),
-        "unshot": np.array([step.unshot for step in solution.history]).reshape(len(solution.history), -1),
+        "unshot": np.array([step.unshot for step in solution.history]).reshape(
+            len(solution.history), solution.radiosity.shape[1]
+        ),
         "report": np.array(json.dumps(plain)),
         "bound": report.bound,
     }
@@ -200,8 +202,7 @@ def _solution_of(contents: Mapping[str, Any]) -> Solution:
     plain = json.loads(str(contents["report"]))
     of_elements = {name.removeprefix("elements/"): value for name, value in contents.items() if "elements/" in name}
     steps = len(contents["residuals"])
-    # Without a step nothing tells the number of bands.
-    unshot = numbers("unshot", steps, bands if steps else 0)
+    unshot = numbers("unshot", steps, bands)
     return Solution(
         radiosity=numbers("radiosity", n, bands),
         irradiance=numbers("irradiance", n, bands),

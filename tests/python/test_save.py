@@ -217,3 +217,10 @@ def test_arrays_of_another_kind_are_refused_by_name(solution, tmp_path, name, va
     np.savez(tmp_path / "edited.npz", **{**arrays, name: value})
     with pytest.raises(ValueError, match=r"edited\.npz: damaged"):
         rad.load_solution(tmp_path / "edited.npz")
+
+
+def test_a_solution_without_a_step_is_kept_too(tmp_path):
+    black = rad.solve(rad.scenes.furnace(0.0, 1.0), 0.3, "rays", progress=False)
+    assert black.history == ()
+    rad.save(black, tmp_path / "black.npz")
+    assert_same(rad.load_solution(tmp_path / "black.npz"), black)
