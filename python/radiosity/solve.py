@@ -210,14 +210,14 @@ def solve(
     _check(scene, tolerance, method, order)
     if not scene.emission.any():
         warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
-    for hint in glass_hints(scene, lambda patches: listed(patches, scene.names)):
-        warnings.warn(hint, UserWarning, stacklevel=2)
     distinct, bands = _distinct_bands(scene)
     if method == "hierarchical":
         solution = _solve_hierarchical(distinct, tolerance, seed, threads, progress)
     elif method == "dense":
         solution = _solve_dense(distinct, tolerance, seed, threads, progress)
     else:
+        for hint in glass_hints(scene, lambda patches: listed(patches, scene.names)):
+            warnings.warn(hint, UserWarning, stacklevel=2)
         solution = _solve_rays(distinct, tolerance, order, refine, seed, threads, progress)
     if solution.error_estimate > tolerance:
         warnings.warn(

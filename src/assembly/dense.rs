@@ -87,8 +87,8 @@ impl Dense {
     /// Computes the form factors of every pair.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a tolerance out of range or a patch that is there twice, [`Error::Memory`] before anything is allocated,
-    /// [`Error::Interrupted`].
+    /// [`Error::Invalid`] for a tolerance out of range or a patch that is there twice, [`Error::Memory`] before anything is
+    /// allocated, [`Error::Interrupted`].
     pub fn new(scene: &Scene, options: DenseOptions, progress: &Progress) -> Result<Dense> {
         scene.require_diffuse("a matrix of form factors")?;
         scene.require_distinct("a matrix of form factors")?;

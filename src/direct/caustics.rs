@@ -6,8 +6,9 @@
 //!
 //!   power = E_l w(y, z) A / p_l    arrives where the ray ends,    H_i += power / (A_i m)
 //!
-//! for m rays, with the weight w of a point z of the lamp as in [`super::lamp`], and where it falls on mirrors on its way. What flat mirrors show of lamps once is known in
-//! closed form ([`super::mirrors`]): rays from lamps do not start there, those from images of lamps do.
+//! for m rays, with the weight w of a point z of the lamp as in [`super::lamp`], and on every mirror that the ray falls on before.
+//! What flat mirrors show of lamps once is known in closed form ([`super::mirrors`]): rays from lamps do not start there, those
+//! from their images in other mirrors do.
 //!
 //! Known as patch averages only: a patch is lit evenly by them.
 
@@ -82,7 +83,7 @@ impl Starts {
 /// The light of caustics, by scramble.
 #[derive(Debug, Clone)]
 pub struct Caustics {
-    /// Where rays from lamps start, and after it for every mirror those from the images in it.
+    /// Where rays from lamps start, and after that, mirror by mirror, those from the images in it: everywhere else.
     starts: Vec<Starts>,
     /// Of the lamps, their share of the rays summed up.
     cumulated: Vec<f64>,

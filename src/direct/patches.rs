@@ -218,7 +218,8 @@ impl<'a> Direct<'a> {
         self.add_caustics(i, Some(s), out);
     }
 
-    /// The part of H of patch i that comes by way of glass and bent mirrors, added to `out`, as scramble `s` alone has it, or all.
+    /// The part of H of patch i that comes by way of glass and bent mirrors, added to `out`: as scramble `s` alone has it, or as
+    /// all have it.
     pub fn add_caustics(&self, i: usize, s: Option<usize>, out: &mut [f64]) {
         match (&self.caustics, s) {
             (None, _) => {}

@@ -72,8 +72,8 @@ impl Goal for Rows<'_> {
 /// Computes the links of a scene.
 ///
 /// # Errors
-/// [`crate::Error::Invalid`] for a tolerance out of range or a patch that is there twice, [`crate::Error::Memory`] when not even the patches fit,
-/// [`crate::Error::Interrupted`].
+/// [`crate::Error::Invalid`] for a tolerance out of range or a patch that is there twice, [`crate::Error::Memory`] when not even
+/// the patches fit, [`crate::Error::Interrupted`].
 pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Progress) -> Result<(Links, Reached)> {
     scene.require_diffuse("hierarchical radiosity")?;
     scene.require_distinct("hierarchical radiosity")?;

@@ -71,7 +71,8 @@ impl<'a> Solver<'a> {
     /// For a scene with what blocks in it; `memory` bytes for elements and links.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a scene without a finite solution or with a patch twice, [`Error::Memory`] when not even the patches fit.
+    /// [`Error::Invalid`] for a scene without a finite solution or with a patch twice, [`Error::Memory`] when not even the
+    /// patches fit.
     pub fn new(scene: &'a Scene, blockers: &'a Blockers, seed: u64, memory: u64) -> Result<Solver<'a>> {
         scene.require_diffuse("hierarchical radiosity")?;
         scene.require_distinct("hierarchical radiosity")?;
@@ -189,22 +190,20 @@ impl<'a> Solver<'a> {
         let irradiance = arriving.remove(0);
         let mut first = vec![0.0; emission.len()];
         balanced.apply(&emission, bands, &mut first);
-        // `share` of what a leaf reflects of H in band b, together.
-        let power = |h: &[f64], b: usize, share: &dyn Fn(usize, f64) -> f64| -> f64 {
+        // What is taken away from leaves may lower the light by so much.
+        let kept = |(k, h): (usize, &f64)| h / (1.0 + reflectance[k] * balanced.taken(k / bands));
+        let least: Vec<f64> = first.iter().enumerate().map(kept).collect();
+        let power = |h: &[f64], b: usize| -> f64 {
             let of_row = |(r, row): (usize, &(u32, u32))| {
                 let area = if row.1 == 0 { links.tree.nodes[row.0 as usize].area } else { 0.0 };
-                let rho = reflectance[r * bands + b];
-                area * rho * h[r * bands + b] * share(r, rho)
+                area * reflectance[r * bands + b] * h[r * bands + b]
             };
             links.rows().iter().enumerate().map(of_row).sum()
         };
         self.amplification = 0.0;
         for b in 0..bands {
-            let all = power(&irradiance, b, &|_, _| 1.0);
-            // Bounces only add, but for what is taken away from leaves. Beyond the pole of 1 / (1 - rho F), where they would
-            // grow without end, there is a solution too.
-            let least = power(&first, b, &|r, rho| 1.0 / (1.0 + rho * balanced.taken(r)));
-            let first = power(&first, b, &|_, _| 1.0);
+            let [first, least, all] = [&first, &least, &irradiance].map(|h| power(h, b));
+            // Bounces only add. Beyond the pole of 1 / (1 - rho F), where they would grow without end, there is a solution too.
             if !(all >= (1.0 - ROUNDING) * least) {
                 return Ok(false);
             }

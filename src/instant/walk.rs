@@ -43,7 +43,8 @@ const BYTES: u64 = 256;
 /// At most `count` lights, as nearly as the walk allows.
 ///
 /// # Errors
-/// [`Error::Invalid`] for no lights, a scene that emits nothing, or one with a patch twice; [`Error::Memory`]; [`Error::Interrupted`].
+/// [`Error::Invalid`] for no lights, a scene that emits nothing, or one with a patch twice; [`Error::Memory`];
+/// [`Error::Interrupted`].
 pub fn virtual_lights(
     scene: &Scene,
     tree: &Bvh,
@@ -99,6 +100,7 @@ pub fn virtual_lights(
     // walk has ended, as much less as is absorbed in the mean.
     let after = lights.bounce.last().map_or(0, |&j| j as usize + 1);
     let known = after.min(bounces.len() - 1);
+    // An empty sum would be -0.
     let carried =
         bounces[known].power.iter().fold(0.0, |sum, power| sum + power) / surviving(q, known, count).max(1) as f64;
     let sent: f64 = bounces[0].power[..bands].iter().sum();

@@ -187,8 +187,8 @@ impl Scene {
     /// Refuses patches that repeat others where `what` would count the light of both; to rays only the first is there.
     ///
     /// # Errors
-    /// [`Error::Invalid`] that names the first patch that repeats another one, corner by corner: seen from the same side, or from any
-    /// where patches have two.
+    /// [`Error::Invalid`] that names the first patch that repeats another one, corner by corner: seen from the same side, or
+    /// from any where patches have two.
     pub fn require_distinct(&self, what: &str) -> Result<()> {
         let Some([first, again]) = validate::repeated(self) else { return Ok(()) };
         Err(Error::Invalid(format!(

@@ -14,7 +14,7 @@ use crate::geometry::polygon::area_vector;
 
 /// Of a ray: relative to the scene. Of a segment: relative to its length, but not more than that.
 ///
-/// What is nearer to each other along a ray is one surface to it, of which it meets the front.
+/// What is nearer to each other along a ray is one surface to it, of which it meets what faces it.
 pub(super) const OWN_SURFACE: f64 = 1e-9;
 
 impl Bvh {

@@ -133,6 +133,7 @@ impl Best {
             let lead = if bvh.faces(k as usize, block.direction(r)) { OWN_SURFACE } else { 0.0 };
             (t - lead, bvh.patches[k as usize].front)
         };
+        // Further apart the rank says what the distance says, and need not be asked for.
         let is_close = (t - self.t[r]).abs() <= OWN_SURFACE;
         let nearer = if is_close { rank(t, k) < rank(self.t[r], self.triangle[r]) } else { t < self.t[r] };
         if nearer && bvh.meets(k as usize, t + block.enter[r], block.origin(r)) {

@@ -34,16 +34,6 @@ def main():
     lines = ["mtllib materials.mtl", *(f"v {x} {y} {z}" for x, y, z in corners), "vt 0 0", "vt 1 0", "vt 0 1"]
     lines += ["o floor", "usemtl red", "f 1 2 3 4", "g wall", "usemtl lamp", "f 1/1 5/2 2/3", "f -5/1 -2/2 -1/3", ""]
     (FOLDER / "groups.obj").write_text("\n".join(lines), encoding="ascii")
-    (FOLDER / "mitsuba.xml").write_text(
-        '<scene version="3.0.0">\n'
-        '  <shape type="cube"><transform name="to_world"><scale x="2" y="2" z="2"/></transform>\n'
-        '    <boolean name="flip_normals" value="true"/>\n'
-        '    <bsdf type="diffuse"><rgb name="reflectance" value="0.5, 0.4, 0.3"/></bsdf></shape>\n'
-        '  <shape type="rectangle"><bsdf type="twosided"><bsdf type="diffuse"/></bsdf>\n'
-        '    <emitter type="area"><rgb name="radiance" value="3"/></emitter></shape>\n'
-        "</scene>\n",
-        encoding="ascii",
-    )
     scene = rad.Scene(corners, faces, 0.5, [[1.0, 0.0], [0.0, 0.0], [0.0, 2.0], [0.0, 0.0]], names=list("abcd"))
     rad.save(rad.solve(scene, 0.3, progress=False), FOLDER / "rays.npz")
     rad.save(rad.solve(scene, 0.5, "hierarchical", progress=False), FOLDER / "hierarchical.npz")

@@ -1,8 +1,6 @@
-"""What once went wrong, or would without care: sheets seen from both sides, far ends, thin gaps, white rooms, forks."""
+"""What once went wrong, or would without care: sheets seen from both sides, far ends, thin gaps, white rooms."""
 
-import multiprocessing
 import pickle
-import sys
 
 import numpy as np
 import pytest
@@ -178,18 +176,6 @@ def test_a_small_thing_far_away_is_seen():
     solution = rad.solve(rad.Scene([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], 0.5, 1.0))
     image = rad.render(solution, rad.Camera((0.5, 0.5, 100), (0.5, 0.5, 0), up=(0, 1, 0)), 128, 128)
     assert 0 < (image > 0).sum() < 16
-
-
-def _row_sum(max_edge):
-    return float(rad.form_factors(rad.scenes.furnace(max_edge=max_edge)).row_sums[0])
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="fork is the way of Linux")
-@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
-def test_a_forked_process_computes_too():
-    expected = _row_sum(0.7)
-    with multiprocessing.get_context("fork").Pool(2) as pool:
-        assert pool.map_async(_row_sum, [0.7, 0.7]).get(timeout=60) == [expected, expected]
 
 
 def test_rays_from_beyond_all_bounds_hit_nothing_and_harm_nothing():
