@@ -16,7 +16,7 @@ one-sided, counter-clockwise seen from the front.
 
 from importlib.metadata import version as _version
 
-from . import mitsuba, plot, scenes
+from . import gradients, mitsuba, plot, scenes
 from .bounces import bounces
 from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
 from .instant import VirtualLights, instant, virtual_lights
@@ -24,8 +24,10 @@ from .load import load
 from .render import Camera, render, save_image, two_pass
 from .save import load_solution, save
 from .scene import Scene
-from .solution import ConvergenceError, Forecast, Solution
-from .solve import ambient, forecast, solve, solve_system
+from .solution import ConvergenceError, Forecast, Gradient, Solution
+from .solve import forecast, solve
+from .system import Solutions, ambient, solve_system
+from .transfer import transfer
 from .view import View, show
 
 __version__ = _version("radiosity")
@@ -35,8 +37,10 @@ __all__ = [
     "ConvergenceError",
     "Forecast",
     "FormFactors",
+    "Gradient",
     "Scene",
     "Solution",
+    "Solutions",
     "View",
     "VirtualLights",
     "ambient",
@@ -44,6 +48,7 @@ __all__ = [
     "forecast",
     "form_factor",
     "form_factors",
+    "gradients",
     "instant",
     "load",
     "load_solution",
@@ -57,6 +62,7 @@ __all__ = [
     "show",
     "solve",
     "solve_system",
+    "transfer",
     "two_pass",
     "virtual_lights",
 ]

@@ -13,6 +13,7 @@ __all__ = [
     "forecast_scene",
     "form_factor",
     "gather",
+    "importance",
     "instant",
     "pair_form_factors",
     "places",
@@ -20,6 +21,7 @@ __all__ = [
     "solve",
     "solve_hierarchical",
     "solve_scene",
+    "solve_states",
     "start_threads",
     "virtual_lights",
 ]
@@ -149,7 +151,7 @@ class FormFactors:
     @property
     def remainder(self) -> _Floats: ...
     def reciprocity_error(self) -> float | None: ...
-    def apply(self, x: _Floats) -> _Floats: ...
+    def apply(self, x: _Floats, transposed: bool = False) -> _Floats: ...
     def row(self, i: int) -> _Floats: ...
     def toarray(self) -> _Floats: ...
 
@@ -166,9 +168,29 @@ def solve(
     max_iterations: int | None,
     memory: int,
     on_iteration: Callable[[int, _Floats, _Floats], Any] | None,
+    start: _Floats | None,
     threads: int | None,
     progress: _Report | None,
 ) -> _Solved: ...
+def solve_states(
+    form_factors: FormFactors,
+    emission: _Floats,
+    reflectance: _Floats,
+    method: str,
+    tolerance: float,
+    max_iterations: int | None,
+    memory: int,
+    threads: int | None,
+    progress: _Report | None,
+) -> tuple[_Floats, _Floats, int, _Floats, float, str | None]: ...
+def importance(
+    form_factors: FormFactors,
+    reflectance: _Floats,
+    weights: _Floats,
+    tolerance: float,
+    threads: int | None,
+    progress: _Report | None,
+) -> _Floats: ...
 def solve_scene(
     scene: Scene,
     tolerance: float,

@@ -32,7 +32,8 @@ from .form_factors import form_factors
 from .mitsuba.patch_tracer import PatchTracer
 from .references import NAMES, Reference, load, relative_error
 from .scene import Scene
-from .solve import solve, solve_system
+from .solve import solve
+from .system import solve_system
 
 __all__ = ["TOLERANCES", "Row", "against", "draw", "referee_constant", "run"]
 

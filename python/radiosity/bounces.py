@@ -18,8 +18,8 @@ from .form_factors import FormFactors, form_factors
 from .progress import Progress
 from .scene import Scene
 from .solution import ConvergenceError, Report, Solution, Step
-from .solve import OnIteration, solve_system
-from .solve import ambient as ambient_radiosity
+from .system import OnIteration, solve_system
+from .system import ambient as ambient_radiosity
 
 if TYPE_CHECKING:
     import scipy.sparse

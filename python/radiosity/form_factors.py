@@ -335,18 +335,15 @@ class FormFactors:
         """SciPy ``LinearOperator`` of shape (n, n) with products from both sides. Needs the extra ``scipy``."""
         import scipy.sparse.linalg
 
-        # Reciprocity gives the transpose for free: F^T = A F A^-1. Sampled rows have it only nearly.
-        areas = self.areas
-        transpose = None if self.method in ("analytic", "hierarchical") else self.tocsr().T.tocsr()
-
-        def rmatvec(x: FloatArray) -> FloatArray:
-            vector = x.reshape(-1)
-            return areas * (self @ (vector / areas)) if transpose is None else np.asarray(transpose @ vector)
+        def rmatmat(x: Any) -> FloatArray:
+            columns = np.ascontiguousarray(x, np.float64).reshape(len(x), -1)
+            return self._core.apply(columns, True).reshape(np.shape(x))
 
         return scipy.sparse.linalg.LinearOperator(
             shape=self.shape,
             dtype=np.float64,
             matvec=lambda x: self @ x.reshape(-1),
-            rmatvec=rmatvec,
+            rmatvec=rmatmat,
             matmat=lambda x: self @ x,
+            rmatmat=rmatmat,
         )

@@ -60,13 +60,14 @@ def save(
 
     Raises:
         TypeError: no solution.
-        ValueError: an unknown ending, a solution without a scene, colours of a solution that has neither one band nor
-            three, an exposure that is not positive, a lightmap where there is none.
+        ValueError: an unknown ending, a solution of many states or without a scene, colours of a solution that has
+            neither one band nor three, an exposure that is not positive, a lightmap where there is none.
         ImportError: a package of the extra ``files`` is missing.
         OSError: the file cannot be written.
     """
     if not isinstance(solution, Solution):
         raise TypeError(f"solution must be a radiosity.Solution, not {type(solution).__name__}")
+    shown = solution.as_shown
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in FORMATS:
@@ -87,7 +88,7 @@ def save(
             f"{path}: colours have 1 band (grey) or 3 (RGB), not {bands}; .npz, .vtu and .vtk take any number"
         )
     # Whatever can fail fails before the file is touched.
-    data = glb(solution.as_shown, exposure, lightmap) if kind == ".glb" else b""
+    data = glb(shown, exposure, lightmap) if kind == ".glb" else b""
     with replacing(path) as temporary:
         if kind == ".npz":
             contents = _contents(solution)
@@ -96,9 +97,9 @@ def save(
         elif kind == ".glb":
             Path(temporary).write_bytes(data)
         elif kind == ".ply":
-            _write_ply(temporary, solution.as_shown, exposure)
+            _write_ply(temporary, shown, exposure)
         else:
-            _write_vtk(temporary, solution.as_shown)
+            _write_vtk(temporary, shown)
 
 
 def load_solution(path: str | os.PathLike[str]) -> Solution:

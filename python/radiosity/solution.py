@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from .arrays import FloatArray
+from .progress import Progress
 from .report import counted
 from .scene import Scene
+
+if TYPE_CHECKING:
+    from .system import Operator
 
 
 @dataclass(frozen=True)
@@ -141,6 +146,27 @@ def _watts(power: FloatArray) -> str:
 
 
 @dataclass(frozen=True, repr=False)
+class System:
+    """A radiosity equation: B = E + rho F B."""
+
+    operator: Operator
+    """F, for the core."""
+    emission: FloatArray
+    """(n, b) E, W/m^2."""
+    reflectance: FloatArray
+    """(n, b) rho."""
+
+
+class Gradient(NamedTuple):
+    """Derivatives of a scalar."""
+
+    emission: FloatArray
+    """(n, b) to every E, per W/m^2."""
+    reflectance: FloatArray
+    """(n, b) to every rho."""
+
+
+@dataclass(frozen=True, repr=False)
 class Solution:
     """A solved radiosity equation B = E + rho H, H = F B."""
 
@@ -162,6 +188,9 @@ class Solution:
     """What was done and what it cost."""
     scene: Scene | None
     """The scene with the emission and reflectance that were solved for; None for a matrix that the user brought."""
+    system: System | None = None
+    """The equation that was solved, where its form factors are at hand: by :func:`radiosity.solve_system` and
+    ``method="dense"``. None by other methods, and from a file or another process."""
     elements: Solution | None = None
     """By ``"hierarchical"``: the same on the leaves of the tree of elements, as a mesh without T-junctions, whose
     ``.scene.parent`` names the patch of each face. None for other methods."""
@@ -170,6 +199,64 @@ class Solution:
     def as_shown(self) -> Solution:
         """What pictures show: :attr:`elements` where there are any, else the solution itself."""
         return self if self.elements is None else self.elements
+
+    def update(
+        self,
+        emission: Any = None,
+        reflectance: Any = None,
+        tolerance: float = 1e-6,
+        *,
+        max_iterations: int | None = None,
+        threads: int | None = None,
+        progress: Progress = True,
+    ) -> Solution:
+        """The solution for other lamps or paints, by GMRES from this one, with the same form factors.
+
+        Args:
+            emission: E, W/m^2; scalar, (b,) or (n, b). None keeps it.
+            reflectance: rho in [0, 1]; the same. None keeps it.
+            tolerance: relative residual, as :func:`radiosity.solve_system` has it. ``.error_estimate`` of the result is
+                of that function, too: against the exact solution on these patches.
+            max_iterations: steps allowed.
+            threads: None for all cores.
+            progress: see :mod:`radiosity.progress`.
+
+        Raises:
+            ValueError: this solution has no form factors at hand (see :attr:`system`); else as
+                :func:`radiosity.solve_system`.
+        """
+        from .relight import updated
+
+        return updated(self, emission, reflectance, tolerance, max_iterations, threads, progress)
+
+    def vjp(
+        self, cotangent: Any, tolerance: float = 1e-10, *, threads: int | None = None, progress: Progress = True
+    ) -> Gradient:
+        """The derivatives of a scalar l(B) to every emission and reflectance, by one adjoint solve.
+
+        With g = dl/dB:  dl/dE = lambda = (I - rho F)^-T g,  dl/drho = lambda H.  Exact for the discrete system, to the
+        tolerances of this and of the solution.
+
+        Args:
+            cotangent: (n, b) g, the derivatives of the scalar to the radiosities, of any sign.
+            tolerance: relative residual of the adjoint solve, in (0, 1).
+            threads: None for all cores.
+            progress: see :mod:`radiosity.progress`.
+
+        Returns:
+            Gradient: ``.emission`` and ``.reflectance``, (n, b) each.
+
+        Raises:
+            ValueError: this solution has no form factors at hand (see :attr:`system`), a wrong shape, a number that is
+                not finite.
+        """
+        from .relight import gradient
+
+        return gradient(self, cotangent, tolerance, threads, progress)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Form factors stay in the process that has them: they may be as large as its memory.
+        return {**self.__dict__, "system": None}
 
     def __repr__(self) -> str:
         n, b = self.radiosity.shape

@@ -1,6 +1,7 @@
 """Solvers of the radiosity equation B = E + rho F B.
 
-:func:`solve` takes a scene and decides everything; :func:`solve_system` takes any form factors and one named method.
+:func:`solve` takes a scene and decides everything; :func:`radiosity.solve_system` takes any form factors and one named
+method.
 """
 
 from __future__ import annotations
@@ -8,9 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Callable
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -18,26 +17,20 @@ from . import _core
 from .arrays import (
     FloatArray,
     IntArray,
-    per_patch,
     read_only,
-    real_array,
     real_number,
-    shaped,
     thread_count,
     whole_number,
 )
-from .form_factors import FormFactors, form_factors_as_reached
+from .form_factors import form_factors_as_reached
 from .glass import glass_hints
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .report import listed
 from .scene import Scene
-from .solution import ConvergenceError, EnergyAudit, Forecast, Report, Solution, Step
+from .solution import EnergyAudit, Forecast, Report, Solution, Step, System
+from .system import solve_system
 
-if TYPE_CHECKING:
-    import scipy.sparse
-
-OnIteration: TypeAlias = Callable[[int, FloatArray, FloatArray], object]
 METHODS = ("auto", "dense", "rays", "hierarchical")
 
 # Share of the tolerance that the error estimate may use; the rest is for the estimate's own error.
@@ -48,114 +41,6 @@ _FIRST_ROW_TOLERANCE = 3.0
 _ATTEMPTS = 6
 # Of the iteration: relative to E, and so small that it does not count even where little light is reflected.
 _RESIDUAL = 1e-10
-
-
-def solve_system(
-    F: FormFactors | FloatArray | scipy.sparse.sparray,
-    emission: Any,
-    reflectance: Any,
-    method: str = "gauss_seidel",
-    tolerance: float = 1e-6,
-    max_iterations: int | None = None,
-    on_iteration: OnIteration | None = None,
-    threads: int | None = None,
-    progress: Progress = True,
-) -> Solution:
-    """Solves B = E + rho F B, all bands in one pass.
-
-    Args:
-        F: a :class:`FormFactors`, an (n, n) array or a SciPy sparse matrix; F[i, j] is the fraction of what leaves i
-            that reaches j. A plain matrix has no areas: all patches then weigh the same, and there is no energy audit.
-        emission: E, W/m^2; scalar, (b,) or (n, b).
-        reflectance: rho in [0, 1]; scalar, (b,) or (n, b).
-        method: ``"direct"`` (LU), ``"jacobi"`` (step k is the light after k bounces), ``"gauss_seidel"`` (gathering),
-            ``"southwell"`` (progressive refinement, shooting: the largest unshot power first), ``"overshooting"`` (the
-            same, with what is going to arrive) or ``"gmres"``.
-        tolerance: relative residual to reach: ||E + rho F B - B|| <= tolerance ||E|| in every band, with area-weighted
-            norms; in (0, 1).
-        max_iterations: steps allowed; None for a generous limit. A step is a bounce (jacobi), a sweep (gauss_seidel), a
-            shot (southwell, overshooting), a Krylov vector (gmres) or the factorisation (direct).
-        on_iteration: called as ``on_iteration(step, radiosity, unshot)`` after every step, with (n, b) arrays. An
-            exception that it raises stops the solver and is passed on.
-        threads: None for all cores. The result is the same for any number.
-        progress: see :mod:`radiosity.progress`.
-
-    Raises:
-        TypeError, ValueError: shapes or values out of range, an unknown method, or a system without finite solution.
-        MemoryError: the LU factors would not fit.
-        ConvergenceError: the steps ran out; it carries the history and the unfinished solution.
-
-    Sources:
-        Goral et al. 1984 (direct); Cohen & Greenberg 1985 (Gauss-Seidel); Cohen et al. 1988 (Southwell);
-        Feda & Purgathofer 1992 (overshooting); Saad & Schultz 1986 (GMRES).
-    """
-    core, scene, segments, row_error = _operator(F)
-    n = core.n
-    e, rho = per_patch(n, emission=emission, reflectance=reflectance)
-    if max_iterations is not None:
-        max_iterations = whole_number("max_iterations", max_iterations, 1, 2**62)
-    start = perf_counter()
-    with reporter(progress, str(method)) as report:
-        result = _core.solve(
-            core,
-            e,
-            rho,
-            str(method),
-            float(tolerance),
-            max_iterations,
-            available_bytes(),
-            on_iteration,
-            thread_count(threads),
-            report,
-        )
-    seconds = perf_counter() - start
-    history = tuple(Step(float(r), u) for r, u in zip(result["residuals"], result["unshot"], strict=True))
-    audit = result["audit"]
-    solution = Solution(
-        radiosity=read_only(result["radiosity"]),
-        irradiance=read_only(result["irradiance"]),
-        standard_error=None if result["standard_error"] is None else read_only(result["standard_error"]),
-        error_estimate=result["error_estimate"],
-        history=history,
-        report=Report(
-            method=method,
-            patches=n,
-            bands=e.shape[1],
-            steps=len(history),
-            residual=result["residual"],
-            audit=None if audit is None else EnergyAudit(*audit),
-            bound=read_only(result["bound"]),
-            seconds={"solve": seconds},
-            segments=segments,
-            row_error=row_error,
-        ),
-        scene=None if scene is None else _scene_with(scene, rho, e),
-    )
-    if result["failure"] is not None:
-        raise ConvergenceError(result["failure"], solution)
-    return solution
-
-
-def _scene_with(scene: Scene, reflectance: FloatArray, emission: FloatArray) -> Scene:
-    """The scene itself if it has these materials, else a copy that has."""
-    same = np.array_equal(scene.reflectance, reflectance) and np.array_equal(scene.emission, emission)
-    return scene if same else scene.with_materials(reflectance, emission)
-
-
-def _operator(F: Any) -> tuple[_core.FormFactors, Scene | None, int, float | None]:
-    """The core's operator for whatever the user brings, with its scene, segments and row error where known."""
-    if isinstance(F, FormFactors):
-        return F._core, F.scene, F.segments, F.error_estimate
-    if hasattr(F, "tocsr"):
-        csr = F.tocsr()
-        if csr.shape[0] != csr.shape[1]:
-            raise ValueError(f"F must be square, not {csr.shape}")
-        start, index = (np.asarray(part, np.int64) for part in (csr.indptr, csr.indices))
-        return _core.FormFactors.from_csr(start, index, real_array("F", csr.data)), None, 0, None
-    matrix = shaped("F", F, "n", "n")
-    if matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(f"F must be square, not {matrix.shape}")
-    return _core.FormFactors.from_array(matrix), None, 0, None
 
 
 def solve(
@@ -312,8 +197,12 @@ def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution
         parent = elements.scene.parent
         fine = elements.scene.with_materials(scene.reflectance[parent], scene.emission[parent])
         elements = _in_all_bands(elements, fine, bands)
+    system = solution.system
+    if system is not None:
+        system = System(system.operator, scene.emission, scene.reflectance)
     return dataclasses.replace(
         solution,
+        system=system,
         radiosity=read_only(solution.radiosity[:, bands]),
         irradiance=read_only(solution.irradiance[:, bands]),
         standard_error=None if error is None else read_only(error[:, bands]),
@@ -464,38 +353,3 @@ def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None,
             discretisation_error=discretisation,
         ),
     )
-
-
-def ambient(areas: Any, unshot: Any, reflectance: Any) -> FloatArray:
-    """(b,) the ambient radiosity of an unfinished Southwell solution, W/m^2, for display only.
-
-    The light still under way, spread evenly over the scene and followed through all its bounces. Show
-    ``radiosity + reflectance * ambient(...)`` in place of a picture that is too dark at first.
-
-    Args:
-        areas: (n,) patch areas, m^2.
-        unshot: (n, b) unshot radiosity, as ``on_iteration`` receives it.
-        reflectance: rho; scalar, (b,) or (n, b).
-
-    Raises:
-        ValueError: areas that are not positive, values that are not finite, a reflectance outside [0, 1], or one of 1
-            in the mean, with which the light never dies.
-
-    Source:
-        Cohen, Chen, Wallace & Greenberg 1988, section 4.3.
-    """
-    sizes = shaped("areas", areas, "n")
-    shot, rho = per_patch(len(sizes), unshot=unshot, reflectance=reflectance)
-    if not (sizes.size and (sizes > 0).all()):
-        raise ValueError("areas must hold at least one patch, all of them positive")
-    with np.errstate(over="ignore"):
-        total = sizes.sum()
-    if not (np.isfinite(total) and np.isfinite(shot).all()):
-        raise ValueError("the sum of the areas and unshot must be finite")
-    bad = np.argwhere(~((rho >= 0.0) & (rho <= 1.0)))
-    if bad.size:
-        patch, band = bad[0].tolist()
-        raise ValueError(f"patch {patch}: reflectance {rho[patch, band]:g} is outside [0, 1] (band {band})")
-    if (sizes @ rho >= total).any():
-        raise ValueError("the mean reflectance must be below 1 in every band")
-    return _core.ambient(sizes, shot, rho)

@@ -7,9 +7,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
-use super::FormFactors;
 use super::hidden::{Blockers, Candidate, settle};
 use super::matrix::add_scaled;
+use super::tiles;
+use super::{FormFactors, apply_reciprocal};
 use crate::error::{Error, Result};
 use crate::form_factor::{Accuracy, Batch, Patch};
 use crate::geometry::sampling::hash;
@@ -55,6 +56,9 @@ pub struct Dense {
 const KERNEL_SHARE: f64 = 0.02;
 /// Fixed number of partial sums in a product, whatever the number of threads: the same bits every time.
 const PARTS: usize = 32;
+
+/// From so many columns on a product goes tile by tile.
+const MANY_COLUMNS: usize = 8;
 
 /// Memory for what is found on the way.
 struct Room {
@@ -193,9 +197,15 @@ impl FormFactors for Dense {
         }
     }
 
-    /// Every G_ij is read once and used for both patches: half the memory traffic of two triangles.
+    /// Of few columns every G_ij is read once and used for both patches: half the memory traffic of two triangles. Of many it is
+    /// the arithmetic that takes the time, which is then that of products of matrices.
     fn apply(&self, x: &[f64], bands: usize, out: &mut [f64]) {
         let n = self.areas.len();
+        if bands >= MANY_COLUMNS {
+            tiles::apply(n, x, bands, out, |i, columns, row| row.copy_from_slice(&self.lower(i)[columns]));
+            out.iter_mut().enumerate().for_each(|(k, out)| *out /= self.areas[k / bands]);
+            return;
+        }
         let parts: Vec<Vec<f64>> = (0..PARTS)
             .into_par_iter()
             .map(|part| {
@@ -218,6 +228,10 @@ impl FormFactors for Dense {
         for (k, out) in out.iter_mut().enumerate() {
             *out = parts.iter().map(|sums| sums[k]).sum::<f64>() / self.areas[k / bands];
         }
+    }
+
+    fn apply_transposed(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        apply_reciprocal(self, &self.areas, x, bands, out);
     }
 
     fn row(&self, i: usize, out: &mut [f64]) {

@@ -2,6 +2,8 @@
 //!
 //! No areas means that reciprocity and an energy audit cannot be had, and that solvers weigh all patches alike.
 
+use rayon::prelude::*;
+
 use super::FormFactors;
 use crate::error::{Error, Result};
 
@@ -78,6 +80,15 @@ impl Compressed {
         self.index[range.clone()].iter().map(|&j| j as usize).zip(self.value[range].iter().copied())
     }
 
+    /// The product of row i with x, as many numbers a patch as `out` has.
+    fn gather(&self, i: usize, x: &[f64], out: &mut [f64]) {
+        let bands = out.len();
+        out.fill(0.0);
+        for (j, f) in self.row(i) {
+            add_scaled(f, &x[j * bands..][..bands], out);
+        }
+    }
+
     fn transposed(&self) -> Compressed {
         let n = self.start.len() - 1;
         let mut start = vec![0; n + 1];
@@ -142,11 +153,7 @@ impl FormFactors for SparseMatrix {
     }
 
     fn gather(&self, i: usize, x: &[f64], out: &mut [f64]) {
-        let bands = out.len();
-        out.fill(0.0);
-        for (j, f) in self.rows.row(i) {
-            add_scaled(f, &x[j * bands..][..bands], out);
-        }
+        self.rows.gather(i, x, out);
     }
 
     fn shoot(&self, i: usize, amount: &[f64], out: &mut [f64]) {
@@ -154,6 +161,10 @@ impl FormFactors for SparseMatrix {
         for (j, f) in self.columns.row(i) {
             add_scaled(f, amount, &mut out[j * bands..][..bands]);
         }
+    }
+
+    fn apply_transposed(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        out.par_chunks_mut(bands).enumerate().for_each(|(j, out)| self.columns.gather(j, x, out));
     }
 
     fn row(&self, i: usize, out: &mut [f64]) {

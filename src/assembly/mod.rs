@@ -1,9 +1,10 @@
 //! Form factors of a whole scene as an operator: all that a solver may see.
 //!
-//! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply
+//! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply, forwards and backwards
 //! - [`dense`]: the symmetric exchange of every pair, occluded, stored once
 //! - [`sampled`]: rows by Monte Carlo or hemicube, stored sparsely
 //! - [`rays`]: rows by quasi-random rays, and the linear field that they show
+//! - [`tiles`]: the product of a symmetric matrix with many columns
 //! - [`hidden`]: how much of each pair is visible, and where work is spent
 //! - [`matrix`]: matrices that the user brings, dense or sparse
 //! - [`balance`]: row sums, remainder, reciprocity, and the repair of the first
@@ -15,10 +16,12 @@ pub mod matrix;
 pub mod operator;
 pub mod rays;
 pub mod sampled;
+mod tiles;
 
 pub use dense::{Dense, DenseOptions};
 pub use hidden::Blockers;
 pub(crate) use hidden::{Candidate, settle};
-pub use operator::FormFactors;
+pub(crate) use operator::apply_reciprocal;
+pub use operator::{FormFactors, Transposed};
 pub use rays::{Order, Rays, Trips};
 pub use sampled::{Estimator, Sampled, SampledOptions};

@@ -27,6 +27,18 @@ pub trait FormFactors: Send + Sync {
         out.par_chunks_mut(bands).enumerate().for_each(|(i, out)| self.gather(i, x, out));
     }
 
+    /// The same backwards, out = F^T x: out_jb = sum over i of F_ij x_ib. Operators that need not be read row by row say how.
+    fn apply_transposed(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        let mut row = vec![0.0; self.len()];
+        out.fill(0.0);
+        for (i, x) in x.chunks_exact(bands).enumerate() {
+            self.row(i, &mut row);
+            for (f, out) in row.iter().zip(out.chunks_exact_mut(bands)) {
+                out.iter_mut().zip(x).for_each(|(out, x)| *out += f * x);
+            }
+        }
+    }
+
     /// Row i: out_j = F_ij.
     fn row(&self, i: usize, out: &mut [f64]);
 
@@ -54,4 +66,55 @@ pub trait FormFactors: Send + Sync {
 
     /// Bytes held.
     fn nbytes(&self) -> usize;
+}
+
+/// F^T x where reciprocity A_i F_ij = A_j F_ji is exact: F^T = A F A^-1.
+pub(crate) fn apply_reciprocal(f: &dyn FormFactors, areas: &[f64], x: &[f64], bands: usize, out: &mut [f64]) {
+    let by_area: Vec<f64> = x.iter().enumerate().map(|(k, x)| x / areas[k / bands]).collect();
+    f.apply(&by_area, bands, out);
+    out.iter_mut().enumerate().for_each(|(k, out)| *out *= areas[k / bands]);
+}
+
+/// F^T as an operator: light that runs backwards. It has no areas: its vectors are powers, not radiosities.
+pub struct Transposed<'a>(pub &'a dyn FormFactors);
+
+impl FormFactors for Transposed<'_> {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn areas(&self) -> Option<&[f64]> {
+        None
+    }
+
+    fn gather(&self, i: usize, x: &[f64], out: &mut [f64]) {
+        let mut all = vec![0.0; x.len()];
+        self.0.apply_transposed(x, out.len(), &mut all);
+        out.copy_from_slice(&all[i * out.len()..][..out.len()]);
+    }
+
+    fn shoot(&self, i: usize, amount: &[f64], out: &mut [f64]) {
+        let mut row = vec![0.0; self.len()];
+        self.0.row(i, &mut row);
+        for (f, out) in row.iter().zip(out.chunks_exact_mut(amount.len())) {
+            out.iter_mut().zip(amount).for_each(|(out, amount)| *out += f * amount);
+        }
+    }
+
+    fn apply(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        self.0.apply_transposed(x, bands, out);
+    }
+
+    fn apply_transposed(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        self.0.apply(x, bands, out);
+    }
+
+    fn row(&self, i: usize, out: &mut [f64]) {
+        out.fill(0.0);
+        self.0.shoot(i, &[1.0], out);
+    }
+
+    fn nbytes(&self) -> usize {
+        self.0.nbytes()
+    }
 }

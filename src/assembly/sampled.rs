@@ -237,6 +237,10 @@ impl FormFactors for Sampled {
         self.matrix.shoot(i, amount, out);
     }
 
+    fn apply_transposed(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        self.matrix.apply_transposed(x, bands, out);
+    }
+
     fn row(&self, i: usize, out: &mut [f64]) {
         self.matrix.row(i, out);
     }

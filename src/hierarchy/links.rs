@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::link::{Found, NO_MATRIX};
 use super::push_pull::{Layout, multiply};
 use super::tree::Tree;
-use crate::assembly::{FormFactors, Order};
+use crate::assembly::{FormFactors, Order, apply_reciprocal};
 use crate::geometry::sampling::hash;
 
 /// A link as one of its nodes sees it.
@@ -254,6 +254,10 @@ impl FormFactors for Links {
             let at = self.place(r, bands);
             out.copy_from_slice(&arriving[at..at + bands]);
         }
+    }
+
+    fn apply_transposed(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        apply_reciprocal(self, &self.areas, x, bands, out);
     }
 
     fn standard_error(&self, x: &[f64], bands: usize) -> Option<Vec<f64>> {

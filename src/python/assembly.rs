@@ -205,12 +205,23 @@ impl FormFactors {
         py.detach(|| in_pool(None, || balance::reciprocity_error(self.operator.as_ref())))
     }
 
-    fn apply<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    /// F x, or F^T x.
+    #[pyo3(signature = (x, transposed=false))]
+    fn apply<'py>(
+        &self,
+        py: Python<'py>,
+        x: PyReadonlyArray2<f64>,
+        transposed: bool,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let bands = x.as_array().ncols();
         let x = values(&x)?;
         let product = || {
             let mut out = filled(x.len(), 0.0)?;
-            self.operator.apply(&x, bands, &mut out);
+            if transposed {
+                self.operator.apply_transposed(&x, bands, &mut out);
+            } else {
+                self.operator.apply(&x, bands, &mut out);
+            }
             Ok(out)
         };
         let out = py.detach(|| in_pool(None, product))?.map_err(to_python)?;

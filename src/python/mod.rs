@@ -44,5 +44,5 @@ mod _core {
     #[pymodule_export]
     use super::scene::Scene;
     #[pymodule_export]
-    use super::solve::{ambient, solve};
+    use super::solve::{ambient, importance, solve, solve_states};
 }

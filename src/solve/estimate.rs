@@ -24,14 +24,28 @@ const TOLERANCE: f64 = 0.03;
 
 /// The error of a radiosity.
 pub(super) struct Estimate {
-    /// Relative to ||B - E||, the largest over the bands.
-    pub error: f64,
+    /// ||dB||, one a band; infinite where the system has hardly any solution.
+    pub sizes: Vec<f64>,
     /// Per patch and band, from sampling alone; `None` when F was not sampled.
     pub standard_error: Option<Vec<f64>>,
 }
 
+impl Estimate {
+    /// The error relative to that of `light`, ||B - E|| of every band, the largest over the bands.
+    pub fn relative(&self, light: &[f64]) -> f64 {
+        let relative = |(size, light): (&f64, &f64)| if *size == 0.0 { 0.0 } else { size / light };
+        self.sizes.iter().zip(light).map(relative).fold(0.0, super::worse)
+    }
+}
+
+/// ||B - E||, one a band.
+pub(super) fn reflected(system: &System, radiosity: &[f64]) -> Vec<f64> {
+    let reflected: Vec<f64> = radiosity.iter().zip(system.emission).map(|(b, e)| b - e).collect();
+    norms(system, &reflected)
+}
+
 pub(super) fn estimate(system: &System, radiosity: &[f64], irradiance: &[f64], unshot: &[f64]) -> Result<Estimate> {
-    let System { form_factors, emission, reflectance, bands } = *system;
+    let System { form_factors, reflectance, bands, .. } = *system;
     let bound = form_factors.kernel_error();
     let mut sources = vec![unshot.to_vec()];
     sources.push(reflectance.iter().zip(irradiance).map(|(rho, h)| bound * rho * h).collect());
@@ -39,10 +53,8 @@ pub(super) fn estimate(system: &System, radiosity: &[f64], irradiance: &[f64], u
         let Some(realisation) = form_factors.sampling_error(radiosity, bands, draw) else { break };
         sources.push(reflectance.iter().zip(realisation).map(|(rho, h)| rho * h).collect());
     }
-    let reflected: Vec<f64> = radiosity.iter().zip(emission).map(|(b, e)| b - e).collect();
-    let light = norms(system, &reflected);
     let Some(arriving) = propagated(system, &sources, TOLERANCE, &mut |_, _, _| Ok(()))? else {
-        return Ok(Estimate { error: f64::INFINITY, standard_error: None });
+        return Ok(Estimate { sizes: vec![f64::INFINITY; bands], standard_error: None });
     };
     // Of every source: what it becomes in all later bounces, and all together.
     let later: Vec<Vec<f64>> =
@@ -51,13 +63,11 @@ pub(super) fn estimate(system: &System, radiosity: &[f64], irradiance: &[f64], u
     let errors: Vec<Vec<f64>> = sources.iter().zip(&later).map(sum).collect();
     let sizes: Vec<Vec<f64>> = errors.iter().map(|error| norms(system, error)).collect();
     let draws = sizes.len() - 2;
-    let mut error = 0.0f64;
-    for b in 0..bands {
+    let of_band = |b: usize| {
         let sampling = (sizes[2..].iter().map(|size| size[b] * size[b]).sum::<f64>() / draws.max(1) as f64).sqrt();
-        let size = (sizes[0][b] + sizes[1][b]).hypot(sampling);
-        let relative = if size == 0.0 { 0.0 } else { size / light[b] };
-        error = super::worse(error, relative);
-    }
+        (sizes[0][b] + sizes[1][b]).hypot(sampling)
+    };
+    let sizes_of_bands: Vec<f64> = (0..bands).map(of_band).collect();
     let standard_error = (draws > 0).then(|| {
         // The first bounce is known patch by patch; what later ones add is smooth, and known as a mean.
         let later: Vec<Vec<f64>> = later[2..].iter().map(|later| norms(system, later)).collect();
@@ -69,5 +79,5 @@ pub(super) fn estimate(system: &System, radiosity: &[f64], irradiance: &[f64], u
         // Where nothing is reflected, no error of F matters.
         both.map(|(k, (h, rho))| if *rho > 0.0 { (rho * h).hypot(later[k % bands]) } else { 0.0 }).collect()
     });
-    Ok(Estimate { error, standard_error })
+    Ok(Estimate { sizes: sizes_of_bands, standard_error })
 }

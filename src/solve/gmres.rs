@@ -67,10 +67,10 @@ impl Small {
     }
 }
 
-/// The radiosity, and what it makes arrive: F B.
-pub(super) fn solve(system: &System, run: &mut Run) -> Result<(Vec<f64>, Vec<f64>)> {
+/// The radiosity, and what it makes arrive: F B. The nearer `start` is to it, the fewer steps it takes.
+pub(super) fn solve(system: &System, start: Vec<f64>, run: &mut Run) -> Result<(Vec<f64>, Vec<f64>)> {
     let bands = system.bands;
-    let mut start = system.emission.to_vec();
+    let mut start = start;
     loop {
         let unshot = residual(system, &irradiance(system, &start), &start);
         let sizes = norms(system, &unshot);

@@ -14,8 +14,10 @@
 //!
 //!   ||r|| / ||E|| <= tolerance,   ||x||^2 = sum over i of A_i x_i^2   (A = 1 where areas are unknown).
 //!
-//! How far B is from the solution is another question: see [`estimate`].
+//! How far B is from the solution is another question: see [`estimate`]. Many states of light at once: [`states`]. What a
+//! number read off the solution owes to each patch: [`adjoint`].
 
+pub mod adjoint;
 pub mod direct;
 mod estimate;
 pub mod gauss_seidel;
@@ -23,6 +25,7 @@ pub mod gmres;
 pub mod jacobi;
 mod propagate;
 pub mod southwell;
+pub mod states;
 
 pub(crate) use propagate::propagated;
 
@@ -162,31 +165,58 @@ pub struct Audit {
 pub fn solve(system: &System, method: Method, options: &Options, observe: &mut Observer) -> Result<Solved> {
     validate(system, options)?;
     let mut run = Run::new(system, method, options, observe);
-    let radiosity = match method {
-        Method::Direct => direct::solve(system, options, &mut run),
-        Method::Jacobi => jacobi::solve(system, &mut run),
-        Method::GaussSeidel => gauss_seidel::solve(system, &mut run),
-        Method::Southwell => southwell::solve(system, &mut run, false),
-        Method::Overshooting => southwell::solve(system, &mut run, true),
-        Method::Gmres => gmres::solve(system, &mut run).map(|(radiosity, _)| radiosity),
-    }?;
-    let (history, failure) = (run.history, run.failure);
-    let irradiance = irradiance(system, &radiosity);
-    let unshot = residual(system, &irradiance, &radiosity);
-    let estimate = estimate::estimate(system, &radiosity, &irradiance, &unshot)?;
-    let bound = bound(system, &radiosity, &unshot);
-    let audit = system.form_factors.areas().map(|areas| audit(system, areas, &radiosity, &irradiance, &unshot));
-    Ok(Solved {
-        residual: history.last().map_or(0.0, |step| step.residual),
-        radiosity,
-        irradiance,
-        standard_error: estimate.standard_error,
-        history,
-        failure,
-        error_estimate: estimate.error,
-        bound,
-        audit,
-    })
+    let radiosity = iterate(system, method, options, &mut run)?;
+    run.end(radiosity)
+}
+
+/// The radiosity that a method comes to.
+fn iterate(system: &System, method: Method, options: &Options, run: &mut Run) -> Result<Vec<f64>> {
+    match method {
+        Method::Direct => direct::solve(system, options, run),
+        Method::Jacobi => jacobi::solve(system, run),
+        Method::GaussSeidel => gauss_seidel::solve(system, run),
+        Method::Southwell => southwell::solve(system, run, false),
+        Method::Overshooting => southwell::solve(system, run, true),
+        Method::Gmres => gmres::solve(system, system.emission.to_vec(), run).map(|(radiosity, _)| radiosity),
+    }
+}
+
+/// Solves a system by GMRES from a radiosity that is near: that of other materials or lamps.
+///
+/// # Errors
+/// Those of [`solve`].
+pub fn solve_from(system: &System, start: &[f64], options: &Options, observe: &mut Observer) -> Result<Solved> {
+    validate(system, options)?;
+    check_vector("the radiosity to start from", start, system.form_factors.len(), system.bands)?;
+    let mut run = Run::new(system, Method::Gmres, options, observe);
+    let (radiosity, _) = gmres::solve(system, start.to_vec(), &mut run)?;
+    run.end(radiosity)
+}
+
+/// Refuses what is not n x b finite numbers.
+fn check_vector(name: &str, values: &[f64], n: usize, bands: usize) -> Result<()> {
+    if values.len() != n * bands {
+        let expected = n * bands;
+        return Err(Error::Invalid(format!(
+            "{name} has {} values; {n} patches of {bands} bands need {expected}",
+            values.len()
+        )));
+    }
+    let bad = values.iter().enumerate().filter(|(_, v)| !v.is_finite()).take(8);
+    Error::from_problems(
+        bad.map(|(k, v)| format!("patch {}: {name} is {v}, not finite (band {})", k / bands, k % bands)).collect(),
+    )
+}
+
+/// What is wrong with n x b numbers that must lie in [0, limit], and be finite.
+fn out_of_range(name: &str, values: &[f64], n: usize, bands: usize, limit: f64) -> Vec<String> {
+    if values.len() != n * bands {
+        let expected = n * bands;
+        return vec![format!("{name} has {} values; {n} patches of {bands} bands need {expected}", values.len())];
+    }
+    let range = if limit == f64::MAX { "[0, inf)".to_string() } else { format!("[0, {limit}]") };
+    let bad = values.iter().enumerate().filter(|(_, v)| !(**v >= 0.0 && **v <= limit)).take(8);
+    bad.map(|(k, v)| format!("patch {}: {name} {v} is outside {range} (band {})", k / bands, k % bands)).collect()
 }
 
 fn validate(system: &System, options: &Options) -> Result<()> {
@@ -205,21 +235,8 @@ fn validate(system: &System, options: &Options) -> Result<()> {
     if options.max_iterations == Some(0) {
         problems.push("max_iterations 0 is below 1".to_string());
     }
-    for (name, values, limit, range) in
-        [("emission", emission, f64::MAX, "[0, inf)"), ("reflectance", reflectance, 1.0, "[0, 1]")]
-    {
-        if values.len() != n * bands {
-            problems.push(format!(
-                "{name} has {} values; {n} patches of {bands} bands need {}",
-                values.len(),
-                n * bands
-            ));
-            continue;
-        }
-        let bad = values.iter().enumerate().filter(|(_, v)| !(**v >= 0.0 && **v <= limit)).take(8);
-        problems.extend(
-            bad.map(|(k, v)| format!("patch {}: {name} {v} is outside {range} (band {})", k / bands, k % bands)),
-        );
+    for (name, values, limit) in [("emission", emission, f64::MAX), ("reflectance", reflectance, 1.0)] {
+        problems.extend(out_of_range(name, values, n, bands, limit));
     }
     Error::from_problems(problems)?;
     // Without a loss anywhere the light never dies: rho F has the eigenvalue 1.
@@ -265,6 +282,28 @@ impl<'a, 'b> Run<'a, 'b> {
             history: Vec::new(),
             failure: None,
         }
+    }
+
+    /// What there is to know of the last radiosity.
+    fn end(self, radiosity: Vec<f64>) -> Result<Solved> {
+        let (system, history, failure) = (self.system, self.history, self.failure);
+        let irradiance = irradiance(system, &radiosity);
+        let unshot = residual(system, &irradiance, &radiosity);
+        let estimate = estimate::estimate(system, &radiosity, &irradiance, &unshot)?;
+        let error_estimate = estimate.relative(&estimate::reflected(system, &radiosity));
+        let bound = bound(system, &radiosity, &unshot);
+        let audit = system.form_factors.areas().map(|areas| audit(system, areas, &radiosity, &irradiance, &unshot));
+        Ok(Solved {
+            residual: history.last().map_or(0.0, |step| step.residual),
+            radiosity,
+            irradiance,
+            standard_error: estimate.standard_error,
+            history,
+            failure,
+            error_estimate,
+            bound,
+            audit,
+        })
     }
 
     /// The largest residual of the bands, in units of their emission.

@@ -36,7 +36,7 @@ pub(crate) fn propagated(
     let wide = System { form_factors, emission: &emission, reflectance: &weights, bands: columns };
     let options = Options { tolerance, max_iterations: Some(MOST_STEPS), memory: u64::MAX };
     let mut run = Run::new(&wide, Method::Gmres, &options, observe);
-    let (_, arriving) = gmres::solve(&wide, &mut run)?;
+    let (_, arriving) = gmres::solve(&wide, emission.clone(), &mut run)?;
     if run.failure.is_some() {
         return Ok(None);
     }
