@@ -259,7 +259,7 @@ def test_an_exception_in_on_iteration_stops_the_solver_and_is_passed_on(room):
 
 
 def test_too_large_a_factorisation_is_refused(monkeypatch, room):
-    monkeypatch.setattr(sys.modules["radiosity.solve"], "available_bytes", lambda: 1000)
+    monkeypatch.setattr(sys.modules["radiosity.system"], "available_bytes", lambda: 1000)
     F, emission, reflectance = room
     with pytest.raises(MemoryError, match=r"LU factorisation .* use an iterative method"):
         rad.solve_system(F, emission, reflectance, method="direct")

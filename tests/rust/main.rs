@@ -18,6 +18,7 @@ mod geometry;
 mod hierarchy;
 mod instant;
 mod rays;
+mod relight;
 mod render;
 mod scene;
 mod shadow;
