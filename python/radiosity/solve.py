@@ -26,6 +26,7 @@ from .arrays import (
     thread_count,
     whole_number,
 )
+from .distributed import SOLVERS, DistributedFormFactors
 from .form_factors import FormFactors, form_factors_as_reached
 from .glass import glass_hints
 from .memory import available_bytes
@@ -51,7 +52,7 @@ _RESIDUAL = 1e-10
 
 
 def solve_system(
-    F: FormFactors | FloatArray | scipy.sparse.sparray,
+    F: FormFactors | DistributedFormFactors | FloatArray | scipy.sparse.sparray,
     emission: Any,
     reflectance: Any,
     method: str = "gauss_seidel",
@@ -66,6 +67,7 @@ def solve_system(
     Args:
         F: a :class:`FormFactors`, an (n, n) array or a SciPy sparse matrix; F[i, j] is the fraction of what leaves i
             that reaches j. A plain matrix has no areas: all patches then weigh the same, and there is no energy audit.
+            Or factors of :func:`radiosity.distributed.form_factors`, for ``"jacobi"`` and ``"gmres"``.
         emission: E, W/m^2; scalar, (b,) or (n, b).
         reflectance: rho in [0, 1]; scalar, (b,) or (n, b).
         method: ``"direct"`` (LU), ``"jacobi"`` (step k is the light after k bounces), ``"gauss_seidel"`` (gathering),
@@ -83,13 +85,14 @@ def solve_system(
     Raises:
         TypeError, ValueError: shapes or values out of range, an unknown method, or a system without finite solution.
         MemoryError: the LU factors would not fit.
+        ConnectionError: the workers that hold F are gone.
         ConvergenceError: the steps ran out; it carries the history and the unfinished solution.
 
     Sources:
         Goral et al. 1984 (direct); Cohen & Greenberg 1985 (Gauss-Seidel); Cohen et al. 1988 (Southwell);
         Feda & Purgathofer 1992 (overshooting); Saad & Schultz 1986 (GMRES).
     """
-    core, scene, segments, row_error = _operator(F)
+    core, scene, segments, row_error = _operator(F, method)
     n = core.n
     e, rho = per_patch(n, emission=emission, reflectance=reflectance)
     if max_iterations is not None:
@@ -142,10 +145,17 @@ def _scene_with(scene: Scene, reflectance: FloatArray, emission: FloatArray) -> 
     return scene if same else scene.with_materials(reflectance, emission)
 
 
-def _operator(F: Any) -> tuple[_core.FormFactors, Scene | None, int, float | None]:
+def _operator(F: Any, method: str) -> tuple[_core.FormFactors, Scene | None, int, float | None]:
     """The core's operator for whatever the user brings, with its scene, segments and row error where known."""
     if isinstance(F, FormFactors):
         return F._core, F.scene, F.segments, F.error_estimate
+    if isinstance(F, DistributedFormFactors):
+        if method not in SOLVERS:
+            raise ValueError(
+                f"method {method!r} asks for F patch by patch, which workers would have to answer one at a time; "
+                f"the solvers for distributed form factors are {SOLVERS}"
+            )
+        return F._operator(), F.scene, F.segments, F.error_estimate
     if hasattr(F, "tocsr"):
         csr = F.tocsr()
         if csr.shape[0] != csr.shape[1]:

@@ -2,13 +2,15 @@
 //!
 //! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply
 //! - [`dense`]: the symmetric exchange of every pair, occluded, stored once
-//! - [`sampled`]: rows by Monte Carlo or hemicube, stored sparsely
+//! - [`block`]: some rows by Monte Carlo or hemicube, stored sparsely, each for itself
+//! - [`sampled`]: all of them as an operator
 //! - [`rays`]: rows by quasi-random rays, and the linear field that they show
 //! - [`hidden`]: how much of each pair is visible, and where work is spent
 //! - [`matrix`]: matrices that the user brings, dense or sparse
 //! - [`balance`]: row sums, remainder, reciprocity, and the repair of the first
 
 pub mod balance;
+mod block;
 pub mod dense;
 mod hidden;
 pub mod matrix;
@@ -16,9 +18,10 @@ pub mod operator;
 pub mod rays;
 pub mod sampled;
 
+pub use block::{Block, Estimator, SampledOptions};
 pub use dense::{Dense, DenseOptions};
 pub use hidden::Blockers;
 pub(crate) use hidden::{Candidate, settle};
 pub use operator::FormFactors;
 pub use rays::{Order, Rays, Trips};
-pub use sampled::{Estimator, Sampled, SampledOptions};
+pub use sampled::Sampled;
