@@ -16,7 +16,7 @@ one-sided, counter-clockwise seen from the front.
 
 from importlib.metadata import version as _version
 
-from . import gradients, mitsuba, plot, scenes
+from . import distributed, gradients, mitsuba, plot, scenes
 from .bounces import bounces
 from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
 from .instant import VirtualLights, instant, virtual_lights
@@ -45,6 +45,7 @@ __all__ = [
     "VirtualLights",
     "ambient",
     "bounces",
+    "distributed",
     "forecast",
     "form_factor",
     "form_factors",

@@ -5,6 +5,7 @@ Wrong types raise ``TypeError``, wrong shapes ``ValueError``, both naming the ar
 
 from __future__ import annotations
 
+import operator
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -23,7 +24,7 @@ def real_array(name: str, value: Any) -> FloatArray:
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{name} must hold real numbers, not {array.dtype}")
-    return array.astype(np.float64, copy=False)
+    return aligned(array.astype(np.float64, copy=False))
 
 
 def shaped(name: str, value: Any, *shape: int | str) -> FloatArray:
@@ -51,7 +52,7 @@ def triangle_indices(name: str, value: Any) -> IntArray:
         raise TypeError(f"{name} must hold integers, not {array.dtype}")
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name} must have shape (n, 3): three vertex indices a triangle, not {array.shape}")
-    return np.ascontiguousarray(array, np.int64)
+    return np.ascontiguousarray(aligned(array), np.int64)
 
 
 def per_patch(n: int, **quantities: Any) -> list[FloatArray]:
@@ -84,6 +85,22 @@ def one_per_patch(name: str, n: int, value: Any) -> FloatArray:
     return np.ascontiguousarray(np.broadcast_to(array, (n,)))
 
 
+def vectors(name: str, value: Any, n: int) -> tuple[FloatArray, tuple[int, ...]]:
+    """``value`` of shape (n,) or (n, k) as a contiguous (n, k), and its shape; ``ValueError`` for other shapes."""
+    array = real_array(name, value)
+    if array.ndim not in (1, 2) or array.shape[0] != n:
+        raise ValueError(f"{name} must have shape ({n},) or ({n}, k), not {array.shape}")
+    return np.ascontiguousarray(array.reshape(n, -1)), array.shape
+
+
+def row_number(i: int, n: int) -> int:
+    """``i`` as the number of one of n rows; ``IndexError`` when there is no such row."""
+    number = operator.index(i)
+    if not 0 <= number < n:
+        raise IndexError(f"row {i} is outside 0 .. {n}")
+    return number
+
+
 def whole_number(name: str, value: Any, least: int, most: int) -> int:
     """``value`` as an int; ``TypeError`` when it is no integer, ``ValueError`` when outside ``least`` .. ``most``."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
@@ -108,6 +125,11 @@ def thread_count(threads: int | None) -> int | None:
 def seed_number(seed: int) -> int:
     """``seed`` if it is an integer in [0, 2^64), else ``TypeError`` or ``ValueError``."""
     return whole_number("seed", seed, 0, 2**64 - 1)
+
+
+def aligned(array: Array) -> Array:
+    """The same array, copied if it lies at an odd address, as in a message: the core reads whole words."""
+    return array if array.flags.aligned else array.copy()
 
 
 def read_only(array: Array) -> Array:

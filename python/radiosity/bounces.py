@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from .arrays import FloatArray, per_patch, read_only, whole_number
+from .distributed import DistributedFormFactors
 from .form_factors import FormFactors, form_factors
 from .progress import Progress
 from .scene import Scene
@@ -31,7 +32,7 @@ SHOTS = ("southwell", "overshooting")
 
 
 def bounces(
-    scene_or_F: Scene | FormFactors | FloatArray | scipy.sparse.sparray,
+    scene_or_F: Scene | FormFactors | DistributedFormFactors | FloatArray | scipy.sparse.sparray,
     emission: Any = None,
     reflectance: Any = None,
     method: str = "jacobi",
@@ -78,7 +79,7 @@ def bounces(
     F: Any = scene_or_F
     if isinstance(F, Scene):
         F = form_factors(F, tolerance=1e-2, threads=threads, progress=progress)
-    scene = F.scene if isinstance(F, FormFactors) else None
+    scene = F.scene if isinstance(F, (FormFactors, DistributedFormFactors)) else None
     if scene is None and (emission is None or reflectance is None):
         raise ValueError("form factors without a scene need emission and reflectance")
     e, rho = per_patch(

@@ -6,7 +6,6 @@ a closed scene sum to 1; A_i F_ij = A_j F_ji. F does not depend on the unit of l
 
 from __future__ import annotations
 
-import operator
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import _core
-from .arrays import FloatArray, IntArray, read_only, real_array, seed_number, shaped, thread_count
+from .arrays import FloatArray, IntArray, read_only, row_number, seed_number, shaped, thread_count, vectors
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .scene import Scene
@@ -136,14 +135,19 @@ def form_factors(
         Baum, Rushmeier & Winget 1989 (its assumptions).
     """
     F = form_factors_as_reached(scene, tolerance, method, seed, threads, progress)
-    if F.error_estimate > tolerance:
-        warnings.warn(
-            f"the row error of the form factors is about {F.error_estimate:.2g}, above the tolerance {tolerance:g}: "
-            f"{_ADVICE[F.method]}",
-            UserWarning,
-            stacklevel=2,
-        )
+    tolerance_missed(F.error_estimate, tolerance, F.method)
     return F
+
+
+def tolerance_missed(error_estimate: float, tolerance: float, method: str) -> None:
+    """Warns the caller's caller where the error is above the tolerance."""
+    if error_estimate > tolerance:
+        warnings.warn(
+            f"the row error of the form factors is about {error_estimate:.2g}, above the tolerance {tolerance:g}: "
+            f"{_ADVICE[method]}",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def form_factors_as_reached(
@@ -305,18 +309,12 @@ class FormFactors:
 
     def __matmul__(self, x: Any) -> FloatArray:
         """F @ x for x of shape (n,) or (n, k): the irradiance that the radiosities x cause."""
-        vector = real_array("x", x)
-        if vector.ndim not in (1, 2) or vector.shape[0] != self.shape[0]:
-            raise ValueError(f"x must have shape ({self.shape[0]},) or ({self.shape[0]}, k), not {vector.shape}")
-        columns = np.ascontiguousarray(vector.reshape(len(vector), -1))
-        return self._core.apply(columns).reshape(vector.shape)
+        columns, shape = vectors("x", x, self.shape[0])
+        return self._core.apply(columns).reshape(shape)
 
     def row(self, i: int) -> FloatArray:
         """(n,) row i: where the light of patch i goes. Raises ``IndexError`` when there is no such patch."""
-        number = operator.index(i)
-        if not 0 <= number < self.shape[0]:
-            raise IndexError(f"row {i} is outside 0 .. {self.shape[0]}")
-        return self._core.row(number)
+        return self._core.row(row_number(i, self.shape[0]))
 
     def toarray(self) -> FloatArray:
         """(n, n) plain array; needs 8 n^2 bytes. Raises ``MemoryError`` when they cannot be had."""

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from . import _core
-from .arrays import FloatArray, IntArray, one_per_patch, per_patch, read_only, shaped, thread_count, triangle_indices
+from .arrays import (
+    FloatArray,
+    IntArray,
+    aligned,
+    one_per_patch,
+    per_patch,
+    read_only,
+    shaped,
+    thread_count,
+    triangle_indices,
+)
 from .memory import available_bytes
 from .report import Report, counted, report
 
@@ -187,7 +197,7 @@ class Scene:
         return {"arrays": arrays, "parent": self.parent, "names": self.names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vertices, faces, reflectance, emission, mirror, ior = state["arrays"]
+        vertices, faces, reflectance, emission, mirror, ior = (aligned(array) for array in state["arrays"])
         self._core = _core.Scene(vertices, faces, reflectance, emission, mirror, ior, False)
         self.parent = state["parent"]
         self.names = state["names"]

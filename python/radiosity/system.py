@@ -13,6 +13,7 @@ import numpy as np
 
 from . import _core
 from .arrays import FloatArray, per_patch, read_only, real_array, shaped, thread_count, whole_number
+from .distributed import SOLVERS, DistributedFormFactors
 from .form_factors import FormFactors
 from .memory import available_bytes
 from .progress import Progress, reporter
@@ -33,10 +34,12 @@ class Operator(NamedTuple):
     scene: Scene | None
     segments: int
     row_error: float | None
+    is_at_hand: bool = True
+    """Whether it is for more than one solve: one that asks a cluster is not."""
 
 
 def solve_system(
-    F: FormFactors | FloatArray | scipy.sparse.sparray,
+    F: FormFactors | DistributedFormFactors | FloatArray | scipy.sparse.sparray,
     emission: Any,
     reflectance: Any,
     method: str = "gauss_seidel",
@@ -53,6 +56,7 @@ def solve_system(
     Args:
         F: a :class:`FormFactors`, an (n, n) array or a SciPy sparse matrix; F[i, j] is the fraction of what leaves i
             that reaches j. A plain matrix has no areas: all patches then weigh the same, and there is no energy audit.
+            Or factors of :func:`radiosity.distributed.form_factors`, for ``"jacobi"`` and ``"gmres"``.
         emission: E, W/m^2; scalar, (b,) or (n, b); or (n, b, k), k states of light, which share every product with F,
             and its LU factors: the result is then :class:`Solutions`.
         reflectance: rho in [0, 1]; scalar, (b,) or (n, b).
@@ -73,13 +77,14 @@ def solve_system(
     Raises:
         TypeError, ValueError: shapes or values out of range, an unknown method, or a system without finite solution.
         MemoryError: the LU factors would not fit.
+        ConnectionError: the workers that hold F are gone.
         ConvergenceError: the steps ran out; it carries the history and the unfinished solution.
 
     Sources:
         Goral et al. 1984 (direct); Cohen & Greenberg 1985 (Gauss-Seidel); Cohen et al. 1988 (Southwell);
         Feda & Purgathofer 1992 (overshooting); Saad & Schultz 1986 (GMRES).
     """
-    operator = operator_of(F)
+    operator = operator_of(F, method)
     if np.ndim(emission) == 3:
         if on_iteration is not None or start is not None:
             raise ValueError("on_iteration and start are for one state of light, not for emission of shape (n, b, k)")
@@ -101,7 +106,7 @@ def solved(
     start: Any = None,
 ) -> Solution:
     """:func:`solve_system` for an operator that the core has, with (n, b) emission and reflectance."""
-    core, scene, segments, row_error = operator
+    core, scene, segments, row_error, is_at_hand = operator
     n, bands = emission.shape
     if start is not None:
         if method != "gmres":
@@ -146,7 +151,7 @@ def solved(
             row_error=row_error,
         ),
         scene=None if scene is None else scene_with(scene, reflectance, emission),
-        system=System(operator, emission, reflectance),
+        system=System(operator, emission, reflectance) if is_at_hand else None,
     )
     if result["failure"] is not None:
         raise ConvergenceError(result["failure"], solution)
@@ -224,7 +229,7 @@ def _solved_states(
     progress: Progress,
 ) -> Solutions:
     """:func:`solve_system` for (n, b, k) emission."""
-    core, scene, segments, row_error = operator
+    core, scene, segments, row_error, is_at_hand = operator
     e = shaped("emission", emission, core.n, "b", "k")
     n, bands, _ = e.shape
     rho, _ = per_patch(n, reflectance=reflectance, emission=np.zeros((n, bands)))
@@ -280,10 +285,17 @@ def scene_with(scene: Scene, reflectance: FloatArray, emission: FloatArray) -> S
     return scene if same else scene.with_materials(reflectance, emission)
 
 
-def operator_of(F: Any) -> Operator:
+def operator_of(F: Any, method: str = "gmres") -> Operator:
     """The core's operator for whatever the user brings, with its scene, segments and row error where known."""
     if isinstance(F, FormFactors):
         return Operator(F._core, F.scene, F.segments, F.error_estimate)
+    if isinstance(F, DistributedFormFactors):
+        if method not in SOLVERS:
+            raise ValueError(
+                f"method {method!r} asks for F patch by patch, which workers would have to answer one at a time; "
+                f"the solvers for distributed form factors are {SOLVERS}"
+            )
+        return Operator(F._operator(), F.scene, F.segments, F.error_estimate, is_at_hand=False)
     if hasattr(F, "tocsr"):
         csr = F.tocsr()
         if csr.shape[0] != csr.shape[1]:

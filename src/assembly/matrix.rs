@@ -68,20 +68,46 @@ impl FormFactors for DenseMatrix {
 
 /// Compressed rows: row i holds entries `start[i] .. start[i + 1]`.
 #[derive(Debug, Clone)]
-struct Compressed {
-    start: Vec<usize>,
-    index: Vec<u32>,
-    value: Vec<f64>,
+pub(super) struct Compressed {
+    pub(super) start: Vec<usize>,
+    pub(super) index: Vec<u32>,
+    pub(super) value: Vec<f64>,
 }
 
 impl Compressed {
-    fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let range = self.start[i]..self.start[i + 1];
-        self.index[range.clone()].iter().map(|&j| j as usize).zip(self.value[range].iter().copied())
+    /// Rows over `columns` columns, the first of which is row `first` of the whole.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when the arrays do not fit together, or an entry is outside [0, 1].
+    pub(super) fn new(
+        start: Vec<usize>,
+        index: Vec<u32>,
+        value: Vec<f64>,
+        first: usize,
+        columns: usize,
+    ) -> Result<Compressed> {
+        let fits = start.first() == Some(&0)
+            && start.windows(2).all(|w| w[0] <= w[1])
+            && start.last() == Some(&index.len())
+            && index.len() == value.len()
+            && index.iter().all(|&j| (j as usize) < columns);
+        if !fits {
+            return Err(Error::Invalid(format!(
+                "the sparse arrays do not describe rows of {columns} columns in CSR form"
+            )));
+        }
+        let rows = Compressed { start, index, value };
+        check_entries((0..rows.len()).flat_map(|i| rows.row(i).map(move |(j, f)| (first + i, j, f))))?;
+        Ok(rows)
     }
 
-    /// The product of row i with x, as many numbers a patch as `out` has.
-    fn gather(&self, i: usize, x: &[f64], out: &mut [f64]) {
+    /// Number of rows.
+    pub(super) fn len(&self) -> usize {
+        self.start.len() - 1
+    }
+
+    /// out_b = sum over j of F_ij x_jb.
+    pub(super) fn gather(&self, i: usize, x: &[f64], out: &mut [f64]) {
         let bands = out.len();
         out.fill(0.0);
         for (j, f) in self.row(i) {
@@ -89,8 +115,31 @@ impl Compressed {
         }
     }
 
-    fn transposed(&self) -> Compressed {
-        let n = self.start.len() - 1;
+    /// The product of all rows with x.
+    pub(super) fn apply(&self, x: &[f64], bands: usize, out: &mut [f64]) {
+        out.par_chunks_mut(bands).enumerate().for_each(|(i, out)| self.gather(i, x, out));
+    }
+
+    /// out_jb += F_ij amount_b.
+    pub(super) fn scatter(&self, i: usize, amount: &[f64], out: &mut [f64]) {
+        let bands = amount.len();
+        for (j, f) in self.row(i) {
+            add_scaled(f, amount, &mut out[j * bands..][..bands]);
+        }
+    }
+
+    pub(super) fn nbytes(&self) -> usize {
+        size_of_val(self.start.as_slice()) + size_of_val(self.index.as_slice()) + size_of_val(self.value.as_slice())
+    }
+
+    pub(super) fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let range = self.start[i]..self.start[i + 1];
+        self.index[range.clone()].iter().map(|&j| j as usize).zip(self.value[range].iter().copied())
+    }
+
+    /// The columns of square rows, as rows.
+    pub(super) fn transposed(&self) -> Compressed {
+        let n = self.len();
         let mut start = vec![0; n + 1];
         self.index.iter().for_each(|&j| start[j as usize + 1] += 1);
         for j in 0..n {
@@ -123,29 +172,15 @@ impl SparseMatrix {
     /// [`Error::Invalid`] when the arrays do not fit together, or an entry is outside [0, 1].
     pub fn new(start: Vec<usize>, index: Vec<u32>, value: Vec<f64>) -> Result<SparseMatrix> {
         let n = start.len().saturating_sub(1);
-        let fits = start.first() == Some(&0)
-            && start.windows(2).all(|w| w[0] <= w[1])
-            && start.last() == Some(&index.len())
-            && index.len() == value.len()
-            && index.iter().all(|&j| (j as usize) < n);
-        if !fits {
-            return Err(Error::Invalid("the sparse arrays do not describe a square matrix in CSR form".to_string()));
-        }
-        let rows = Compressed { start, index, value };
-        check_entries((0..n).flat_map(|i| rows.row(i).map(move |(j, f)| (i, j, f))))?;
+        let rows = Compressed::new(start, index, value, 0, n)?;
         let columns = rows.transposed();
         Ok(SparseMatrix { rows, columns })
-    }
-
-    /// The entries of row i, and the place of the first of them among those of all rows.
-    pub(super) fn entries(&self, i: usize) -> (usize, impl Iterator<Item = (usize, f64)> + '_) {
-        (self.rows.start[i], self.rows.row(i))
     }
 }
 
 impl FormFactors for SparseMatrix {
     fn len(&self) -> usize {
-        self.rows.start.len() - 1
+        self.rows.len()
     }
 
     fn areas(&self) -> Option<&[f64]> {
@@ -157,28 +192,20 @@ impl FormFactors for SparseMatrix {
     }
 
     fn shoot(&self, i: usize, amount: &[f64], out: &mut [f64]) {
-        let bands = amount.len();
-        for (j, f) in self.columns.row(i) {
-            add_scaled(f, amount, &mut out[j * bands..][..bands]);
-        }
+        self.columns.scatter(i, amount, out);
     }
 
     fn apply_transposed(&self, x: &[f64], bands: usize, out: &mut [f64]) {
-        out.par_chunks_mut(bands).enumerate().for_each(|(j, out)| self.columns.gather(j, x, out));
+        self.columns.apply(x, bands, out);
     }
 
     fn row(&self, i: usize, out: &mut [f64]) {
         out.fill(0.0);
-        self.rows.row(i).for_each(|(j, f)| out[j] += f);
+        self.rows.scatter(i, &[1.0], out);
     }
 
     fn nbytes(&self) -> usize {
-        [&self.rows, &self.columns]
-            .iter()
-            .map(|c| {
-                size_of_val(c.start.as_slice()) + size_of_val(c.index.as_slice()) + size_of_val(c.value.as_slice())
-            })
-            .sum()
+        self.rows.nbytes() + self.columns.nbytes()
     }
 }
 

@@ -2,7 +2,8 @@
 //!
 //! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply, forwards and backwards
 //! - [`dense`]: the symmetric exchange of every pair, occluded, stored once
-//! - [`sampled`]: rows by Monte Carlo or hemicube, stored sparsely
+//! - [`block`]: some rows by Monte Carlo or hemicube, stored sparsely, each for itself
+//! - [`sampled`]: all of them as an operator
 //! - [`rays`]: rows by quasi-random rays, and the linear field that they show
 //! - [`tiles`]: the product of a symmetric matrix with many columns
 //! - [`hidden`]: how much of each pair is visible, and where work is spent
@@ -10,6 +11,7 @@
 //! - [`balance`]: row sums, remainder, reciprocity, and the repair of the first
 
 pub mod balance;
+mod block;
 pub mod dense;
 mod hidden;
 pub mod matrix;
@@ -18,10 +20,11 @@ pub mod rays;
 pub mod sampled;
 mod tiles;
 
+pub use block::{Block, Estimator, SampledOptions};
 pub use dense::{Dense, DenseOptions};
 pub use hidden::Blockers;
 pub(crate) use hidden::{Candidate, settle};
 pub(crate) use operator::apply_reciprocal;
 pub use operator::{FormFactors, Transposed};
 pub use rays::{Order, Rays, Trips};
-pub use sampled::{Estimator, Sampled, SampledOptions};
+pub use sampled::Sampled;

@@ -8,7 +8,8 @@ use pyo3::prelude::*;
 
 use super::convert::{table, values, vector};
 use super::error::to_python;
-use super::run::{in_pool, run};
+use super::remote::Remote;
+use super::run::{Raised, in_pool, run};
 use super::scene::Scene;
 use crate::assembly::matrix::{DenseMatrix, SparseMatrix};
 use crate::assembly::{Dense, DenseOptions, Estimator, FormFactors as Operator, Sampled, SampledOptions, balance};
@@ -26,20 +27,38 @@ pub(super) struct FormFactors {
     dense: Option<Arc<Dense>>,
     /// The same once more where it is made of links.
     links: Option<Arc<Links>>,
+    /// What products that are made elsewhere have raised.
+    pub(super) raised: Option<Raised>,
     error_estimate: f64,
     segments: u64,
 }
 
+/// The estimator by its public name.
+pub(super) fn estimator(method: &str) -> PyResult<Estimator> {
+    match method {
+        "monte_carlo" => Ok(Estimator::MonteCarlo),
+        "hemicube" => Ok(Estimator::Hemicube),
+        _ => Err(PyValueError::new_err(format!("unknown method {method:?}"))),
+    }
+}
+
 impl FormFactors {
     fn brought(operator: impl Operator + 'static) -> FormFactors {
-        FormFactors { operator: Arc::new(operator), dense: None, links: None, error_estimate: 0.0, segments: 0 }
+        FormFactors {
+            operator: Arc::new(operator),
+            dense: None,
+            links: None,
+            raised: None,
+            error_estimate: 0.0,
+            segments: 0,
+        }
     }
 
     fn of_dense(dense: Dense) -> FormFactors {
         let (error_estimate, segments) = (dense.error_estimate(), dense.segments());
         let dense = Arc::new(dense);
         let operator: Arc<dyn Operator> = dense.clone();
-        FormFactors { operator, dense: Some(dense), links: None, error_estimate, segments }
+        FormFactors { operator, dense: Some(dense), links: None, raised: None, error_estimate, segments }
     }
 }
 
@@ -78,16 +97,19 @@ impl FormFactors {
         progress: Option<Bound<'_, PyAny>>,
     ) -> PyResult<FormFactors> {
         let scene = Arc::clone(&scene.scene);
-        let estimator = match method {
-            "monte_carlo" => Estimator::MonteCarlo,
-            "hemicube" => Estimator::Hemicube,
-            _ => return Err(PyValueError::new_err(format!("unknown method {method:?}"))),
-        };
+        let estimator = estimator(method)?;
         let options = SampledOptions { tolerance, seed, memory };
         let work = move |progress: &Progress| Sampled::new(&scene, estimator, options, progress);
         let sampled = run(py, threads, progress.as_ref(), work)?;
         let (error_estimate, segments) = (sampled.error_estimate(), sampled.rays());
-        Ok(FormFactors { operator: Arc::new(sampled), dense: None, links: None, error_estimate, segments })
+        Ok(FormFactors {
+            operator: Arc::new(sampled),
+            dense: None,
+            links: None,
+            raised: None,
+            error_estimate,
+            segments,
+        })
     }
 
     /// The operator of a scene as links between clusters of all sizes.
@@ -109,7 +131,7 @@ impl FormFactors {
         let Reached { error_estimate, segments } = reached;
         let links = Arc::new(links);
         let operator: Arc<dyn Operator> = links.clone();
-        Ok(FormFactors { operator, dense: None, links: Some(links), error_estimate, segments })
+        Ok(FormFactors { operator, dense: None, links: Some(links), raised: None, error_estimate, segments })
     }
 
     /// For every link its two nodes' ranges in the order of the tree, their levels, and its visibility (0 full, 1 none, 2
@@ -156,6 +178,26 @@ impl FormFactors {
         starts.extend(start.as_array().iter().map(|&k| usize::try_from(k).unwrap_or(usize::MAX)));
         indices.extend(index.as_array().iter().map(|&j| u32::try_from(j).unwrap_or(u32::MAX)));
         SparseMatrix::new(starts, indices, values(&value)?).map(FormFactors::brought).map_err(to_python)
+    }
+
+    /// An operator whose products `door` makes: an object with the methods `apply(x)`, `row(i)`, `standard_error(x)` and
+    /// `sampling_error(x, draw)`. An exception of it ends what asks.
+    #[staticmethod]
+    fn remote(
+        areas: PyReadonlyArray1<f64>,
+        row_sums: PyReadonlyArray1<f64>,
+        nbytes: usize,
+        error_estimate: f64,
+        segments: u64,
+        door: Py<PyAny>,
+    ) -> PyResult<FormFactors> {
+        let (areas, row_sums) = (values(&areas)?, values(&row_sums)?);
+        if areas.len() != row_sums.len() {
+            return Err(PyValueError::new_err(format!("{} areas, but {} row sums", areas.len(), row_sums.len())));
+        }
+        let raised = Raised::default();
+        let operator = Arc::new(Remote { areas, row_sums, nbytes, door, raised: raised.clone() });
+        Ok(FormFactors { operator, dense: None, links: None, raised: Some(raised), error_estimate, segments })
     }
 
     /// Bytes that the dense operator of n patches holds at least.

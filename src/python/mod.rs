@@ -4,11 +4,13 @@
 
 mod accuracy;
 mod assembly;
+mod block;
 mod convert;
 mod error;
 mod form_factor;
 mod hierarchy;
 mod instant;
+mod remote;
 mod render;
 mod reserve;
 mod run;
@@ -31,6 +33,8 @@ mod _core {
     use super::accuracy::{assess, forecast_scene, solve_scene};
     #[pymodule_export]
     use super::assembly::FormFactors;
+    #[pymodule_export]
+    use super::block::Block;
     #[pymodule_export]
     use super::form_factor::{form_factor, pair_form_factors};
     #[pymodule_export]

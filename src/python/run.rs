@@ -80,6 +80,18 @@ impl Raised {
         })
     }
 
+    /// Whether there is no exception yet; one is the wish to stop.
+    pub(super) fn check(&self) -> Result<()> {
+        let waits = self.0.lock().unwrap_or_else(PoisonError::into_inner).is_some();
+        if waits { Err(Error::Interrupted) } else { Ok(()) }
+    }
+
+    /// No more calls: who asks again is told to stop.
+    pub(super) fn close(&self) {
+        let stopped = || to_python(Error::Interrupted);
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert_with(stopped);
+    }
+
     /// What the worker has reached, or what made it stop.
     pub(super) fn or<T>(&self, outcome: PyResult<T>) -> PyResult<T> {
         let raised = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();

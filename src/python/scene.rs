@@ -28,19 +28,24 @@ const SHARE: usize = 256 * BATCH;
 pub(super) struct Scene {
     pub(super) scene: Arc<CoreScene>,
     /// The tree over all patches, built when the first ray is cast.
-    tree: OnceLock<Arc<Bvh>>,
+    tree: Arc<OnceLock<Arc<Bvh>>>,
     /// Which patches meet at corners, found when the first smooth picture is made.
     corners: OnceLock<Arc<Corners>>,
 }
 
 impl Scene {
     fn wrap(scene: CoreScene) -> Scene {
-        Scene { scene: Arc::new(scene), tree: OnceLock::new(), corners: OnceLock::new() }
+        Scene { scene: Arc::new(scene), tree: Arc::default(), corners: OnceLock::new() }
     }
 
     pub(super) fn tree(&self, py: Python<'_>) -> PyResult<Arc<Bvh>> {
-        let build = || Arc::clone(self.tree.get_or_init(|| Arc::new(Bvh::of_scene(&self.scene))));
-        py.detach(|| in_pool(None, build))
+        py.detach(|| in_pool(None, self.later_tree()))
+    }
+
+    /// Gives the tree, in whatever pool it is called.
+    pub(super) fn later_tree(&self) -> impl FnOnce() -> Arc<Bvh> + Send + 'static {
+        let (tree, scene) = (Arc::clone(&self.tree), Arc::clone(&self.scene));
+        move || Arc::clone(tree.get_or_init(|| Arc::new(Bvh::of_scene(&scene))))
     }
 
     pub(super) fn corners(&self, py: Python<'_>) -> PyResult<Arc<Corners>> {

@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 use super::assembly::FormFactors;
 use super::convert::{table, values, vector};
 use super::error::to_python;
-use super::run::{Raised, run};
+use super::run::run;
 use crate::error::Result;
 use crate::solve::states::{self, States};
 use crate::solve::{Audit, Method, Options, Solved, Step, System, adjoint};
@@ -42,13 +42,14 @@ pub(super) fn solve<'py>(
     let bands = emission.as_array().ncols();
     let (emission, reflectance) = (values(&emission)?, values(&reflectance)?);
     let start = start.map(|start| values(&start)).transpose()?;
-    let raised = Raised::default();
+    let raised = form_factors.raised.clone().unwrap_or_default();
     let slot = raised.clone();
     let outcome = run(py, threads, progress.as_ref(), move |progress| {
         let system = System { form_factors: operator.as_ref(), emission: &emission, reflectance: &reflectance, bands };
         let options = Options { tolerance, max_iterations, memory };
         let mut count = 0usize;
         let mut observe = |_: &Step, radiosity: &[f64], unshot: &[f64]| -> Result<()> {
+            slot.check()?;
             count += 1;
             progress.expect(1);
             progress.advance(1)?;
@@ -63,7 +64,10 @@ pub(super) fn solve<'py>(
             None => crate::solve::solve(&system, method, &options, &mut observe),
         }
     });
-    to_dict(py, raised.or(outcome)?, bands)
+    let outcome = raised.or(outcome);
+    // A worker that was left behind by Ctrl-C may be about to ask for a product.
+    raised.close();
+    to_dict(py, outcome?, bands)
 }
 
 fn to_dict(py: Python<'_>, solved: Solved, bands: usize) -> PyResult<Bound<'_, PyDict>> {
@@ -108,11 +112,15 @@ pub(super) fn solve_states<'py>(
     let bands = reflectance.as_array().ncols();
     let columns = emission.as_array().ncols();
     let (emission, reflectance) = (values(&emission)?, values(&reflectance)?);
-    let solved = run(py, threads, progress.as_ref(), move |progress| {
+    let raised = form_factors.raised.clone().unwrap_or_default();
+    let outcome = run(py, threads, progress.as_ref(), move |progress| {
         let system = System { form_factors: operator.as_ref(), emission: &emission, reflectance: &reflectance, bands };
         let options = Options { tolerance, max_iterations, memory };
         states::solve(&system, columns / bands.max(1), method, &options, progress)
-    })?;
+    });
+    let outcome = raised.or(outcome);
+    raised.close();
+    let solved = outcome?;
     let States { radiosity, irradiance, steps, residuals, failure, error_estimate } = solved;
     let [radiosity, irradiance] = [table(py, radiosity, columns)?, table(py, irradiance, columns)?];
     Ok((radiosity, irradiance, steps, vector(py, residuals), error_estimate, failure))

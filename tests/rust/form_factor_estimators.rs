@@ -2,7 +2,7 @@
 //! of row sums.
 
 use radiosity::assembly::balance::{balanced, balanced_exchange, reciprocity_error, remainder};
-use radiosity::assembly::{Estimator, FormFactors, Sampled, SampledOptions};
+use radiosity::assembly::{Block, Estimator, FormFactors, Sampled, SampledOptions};
 use radiosity::form_factor::emitter::{Emitter, Tally};
 use radiosity::form_factor::hemicube::{Hemicube, Hemicubes, Setting};
 use radiosity::form_factor::monte_carlo;
@@ -233,6 +233,55 @@ fn bad_tolerances_little_memory_and_stops_are_told() {
         assert_eq!(progress.get(), (24, 24));
         progress.stop();
         assert!(matches!(attempt(0.1, PLENTY, &progress), Err(Error::Interrupted)));
+    }
+}
+
+#[test]
+fn blocks_of_rows_are_the_rows_of_the_whole_to_the_bit() {
+    // Open at one side, so that some rays leave: they are a class of their own in the errors.
+    let scene = two_plates(3).scene();
+    let (n, bands, tree) = (scene.len(), 2, Bvh::of_scene(&scene));
+    let random = Random::new(11);
+    let x: Vec<f64> = (0..n * bands).map(|_| random.uniform()).collect();
+    for estimator in BOTH {
+        let options = SampledOptions { tolerance: 0.2, seed: 5, memory: PLENTY };
+        let whole = Sampled::new(&scene, estimator, options, &Progress::default()).unwrap();
+        let (mut product, mut row) = (vec![0.0; n * bands], vec![0.0; n]);
+        whole.apply(&x, bands, &mut product);
+        let sums = whole.row_sums();
+        let errors = whole.standard_error(&x, bands).unwrap();
+        let draw = whole.sampling_error(&x, bands, 3).unwrap();
+        let (mut before, mut rays, mut reached, mut bytes) = (0, 0, 0.0f64, 0);
+        for range in [0..1, 1..n / 2, n / 2..n] {
+            let progress = Progress::default();
+            let block = Block::new(&scene, &tree, estimator, options, range.clone(), &progress).unwrap();
+            let count = range.len() as u64;
+            assert_eq!((progress.get(), block.len(), block.patches()), ((count, count), range.len(), n));
+            let part = range.start * bands..range.end * bands;
+            let mut out = vec![0.0; part.len()];
+            block.apply(&x, bands, &mut out);
+            assert_eq!(out, product[part.clone()]);
+            assert_eq!(block.row_sums(), sums[range.clone()]);
+            assert_eq!(block.standard_error(&x, bands), errors[part.clone()]);
+            assert_eq!(block.sampling_error(&x, bands, 3, before), draw[part]);
+            let (mut expected, last) = (vec![0.0; n], range.end - 1);
+            block.row(last - range.start, &mut row);
+            whole.row(last, &mut expected);
+            assert_eq!(row, expected);
+            before += block.entries() as u64;
+            rays += block.rays();
+            reached = reached.max(block.error_estimate());
+            bytes += block.nbytes();
+        }
+        assert_eq!((rays, reached), (whole.rays(), whole.error_estimate()));
+        assert!(bytes < whole.nbytes(), "the whole has the columns, too");
+        let attempt = |range: std::ops::Range<usize>, memory: u64| {
+            Block::new(&scene, &tree, estimator, SampledOptions { memory, ..options }, range, &Progress::default())
+        };
+        for range in [0..0, 3..n + 1, n..n] {
+            assert!(invalid(attempt(range, PLENTY)).contains(&format!("are not rows of {n} patches")));
+        }
+        assert!(matches!(attempt(0..4, 10), Err(Error::Memory { what, .. }) if what.starts_with("4 rows of")));
     }
 }
 
