@@ -2,6 +2,7 @@
 //!
 //! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply
 //! - [`dense`]: the symmetric exchange of every pair, occluded, stored once
+//! - [`triangle`]: where its entries lie, all of them or those that are not 0
 //! - [`sampled`]: rows by Monte Carlo or hemicube, stored sparsely
 //! - [`rays`]: rows by quasi-random rays, and the linear field that they show
 //! - [`hidden`]: how much of each pair is visible, and where work is spent
@@ -15,6 +16,7 @@ pub mod matrix;
 pub mod operator;
 pub mod rays;
 pub mod sampled;
+mod triangle;
 
 pub use dense::{Dense, DenseOptions};
 pub use hidden::Blockers;
