@@ -17,6 +17,7 @@
 
 use rayon::prelude::*;
 
+use super::triangle::Pattern;
 use super::{Dense, FormFactors};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
@@ -69,7 +70,8 @@ const PARTS: usize = 32;
 pub fn balanced(f: &Dense, memory: u64, progress: &Progress) -> Result<(Dense, f64)> {
     let n = f.len();
     // The weights, the changed triangle and the changes, and the vectors of the iteration.
-    let needed = 8 * (3 * f.exchange().len() + (PARTS + 16) * n) as u64;
+    let (pattern, exchange) = f.exchange();
+    let needed = 8 * (3 * exchange.len() + (PARTS + 16) * n) as u64;
     if needed > memory {
         return Err(Error::Memory {
             what: format!("balancing the exchange of {n} patches"),
@@ -88,7 +90,7 @@ pub fn balanced(f: &Dense, memory: u64, progress: &Progress) -> Result<(Dense, f
         )));
     }
     let areas = f.areas().unwrap_or_default();
-    let (exchange, moved) = balanced_exchange(areas, f.exchange(), progress)?;
+    let (exchange, moved) = balanced_entries(areas, pattern, exchange, progress)?;
     Ok((f.with_exchange(exchange, f.error_estimate() + moved), moved))
 }
 
@@ -100,11 +102,20 @@ pub fn balanced(f: &Dense, memory: u64, progress: &Progress) -> Result<(Dense, f
 /// # Errors
 /// [`Error::Invalid`] when no symmetric change of the entries makes every row sum to its area; [`Error::Interrupted`].
 pub fn balanced_exchange(areas: &[f64], exchange: &[f64], progress: &Progress) -> Result<(Vec<f64>, f64)> {
+    balanced_entries(areas, &Pattern::whole(areas.len()), exchange, progress)
+}
+
+fn balanced_entries(
+    areas: &[f64],
+    pattern: &Pattern,
+    exchange: &[f64],
+    progress: &Progress,
+) -> Result<(Vec<f64>, f64)> {
     let mut weights = exchange.to_vec();
     for _ in 0..ROUNDS {
-        let changed = least_squares(areas, &weights, progress)?;
+        let changed = least_squares(areas, pattern, &weights, progress)?;
         if changed.iter().all(|g| *g >= 0.0) {
-            let moved = largest_change(areas, exchange, &changed);
+            let moved = largest_change(areas, pattern, exchange, &changed);
             return Ok((changed, moved));
         }
         weights.iter_mut().zip(&changed).filter(|(_, g)| !(**g >= 0.0)).for_each(|(w, _)| *w = 0.0);
@@ -121,11 +132,11 @@ fn impossible() -> Error {
 }
 
 /// The least-squares change, entries of any sign.
-fn least_squares(areas: &[f64], exchange: &[f64], progress: &Progress) -> Result<Vec<f64>> {
+fn least_squares(areas: &[f64], pattern: &Pattern, exchange: &[f64], progress: &Progress) -> Result<Vec<f64>> {
     let mut changed = exchange.to_vec();
     let mut before = f64::INFINITY;
     for _ in 0..REFINEMENTS {
-        let sums = row_totals(areas.len(), &changed, |g, _, _| g);
+        let sums = row_totals(areas.len(), pattern, &changed, |g, _, _| g);
         let missing: Vec<f64> = areas.iter().zip(sums).map(|(area, sum)| area - sum).collect();
         let worst = missing.iter().zip(areas).map(|(r, area)| r.abs() / area).fold(0.0, f64::max);
         // At the limit of rounding it no longer falls.
@@ -133,25 +144,26 @@ fn least_squares(areas: &[f64], exchange: &[f64], progress: &Progress) -> Result
             return Ok(changed);
         }
         before = worst;
-        let multipliers = conjugate_gradients(areas, exchange, &missing, progress)?;
-        let mut start = 0;
+        let multipliers = conjugate_gradients(areas, pattern, exchange, &missing, progress)?;
         for i in 0..areas.len() {
-            let l = multipliers[i];
-            for ((changed, g), other) in changed[start..].iter_mut().zip(&exchange[start..][..i]).zip(&multipliers) {
-                *changed += g * g * (l + other);
-            }
-            start += i;
+            pattern.lower(i, |j, k| changed[k] += exchange[k] * exchange[k] * (multipliers[i] + multipliers[j]));
         }
     }
-    let sums = row_totals(areas.len(), &changed, |g, _, _| g);
+    let sums = row_totals(areas.len(), pattern, &changed, |g, _, _| g);
     let exact = areas.iter().zip(sums).all(|(area, sum)| (area - sum).abs() <= 100.0 * EXACT * area);
     if exact { Ok(changed) } else { Err(impossible()) }
 }
 
 /// (diag(W 1) + W) l = r.
-fn conjugate_gradients(areas: &[f64], exchange: &[f64], r: &[f64], progress: &Progress) -> Result<Vec<f64>> {
+fn conjugate_gradients(
+    areas: &[f64],
+    pattern: &Pattern,
+    exchange: &[f64],
+    r: &[f64],
+    progress: &Progress,
+) -> Result<Vec<f64>> {
     let n = areas.len();
-    let diagonal = row_totals(n, exchange, |g, _, _| g * g);
+    let diagonal = row_totals(n, pattern, exchange, |g, _, _| g * g);
     // A patch that sees nobody has no say.
     let precondition =
         |r: &[f64]| -> Vec<f64> { r.iter().zip(&diagonal).map(|(r, d)| if *d > 0.0 { r / d } else { 0.0 }).collect() };
@@ -169,7 +181,7 @@ fn conjugate_gradients(areas: &[f64], exchange: &[f64], r: &[f64], progress: &Pr
         }
         progress.expect(1);
         progress.advance(1)?;
-        let image = row_totals(n, exchange, |g, i, j| g * g * (direction[i] + direction[j]));
+        let image = row_totals(n, pattern, exchange, |g, i, j| g * g * (direction[i] + direction[j]));
         let curvature = dot(&direction, &image);
         if !(curvature > 0.0) {
             break;
@@ -190,7 +202,12 @@ fn conjugate_gradients(areas: &[f64], exchange: &[f64], r: &[f64], progress: &Pr
 }
 
 /// sum over j of value(G_ij, i, j) for every i, with a symmetric `value`.
-fn row_totals(n: usize, exchange: &[f64], value: impl Fn(f64, usize, usize) -> f64 + Sync) -> Vec<f64> {
+fn row_totals(
+    n: usize,
+    pattern: &Pattern,
+    exchange: &[f64],
+    value: impl Fn(f64, usize, usize) -> f64 + Sync,
+) -> Vec<f64> {
     let parts: Vec<Vec<f64>> = (0..PARTS)
         .into_par_iter()
         .map(|part| {
@@ -198,15 +215,15 @@ fn row_totals(n: usize, exchange: &[f64], value: impl Fn(f64, usize, usize) -> f
             // Rows of a triangle grow: boundaries at n sqrt(k / PARTS) give every part the same number of pairs.
             let bound = |k: usize| (n as f64 * (k as f64 / PARTS as f64).sqrt()).round() as usize;
             for i in bound(part)..bound(part + 1) {
-                let row = &exchange[i * i.saturating_sub(1) / 2..][..i];
                 let mut own = 0.0;
-                for (j, &g) in row.iter().enumerate() {
+                pattern.lower(i, |j, place| {
+                    let g = exchange[place];
                     if g != 0.0 {
                         let value = value(g, i, j);
                         own += value;
                         sums[j] += value;
                     }
-                }
+                });
                 sums[i] += own;
             }
             sums
@@ -216,8 +233,8 @@ fn row_totals(n: usize, exchange: &[f64], value: impl Fn(f64, usize, usize) -> f
 }
 
 /// max_i sum_j |D_ij| / A_i.
-fn largest_change(areas: &[f64], before: &[f64], after: &[f64]) -> f64 {
+fn largest_change(areas: &[f64], pattern: &Pattern, before: &[f64], after: &[f64]) -> f64 {
     let changes: Vec<f64> = before.iter().zip(after).map(|(a, b)| (a - b).abs()).collect();
-    let sums = row_totals(areas.len(), &changes, |d, _, _| d);
+    let sums = row_totals(areas.len(), pattern, &changes, |d, _, _| d);
     sums.iter().zip(areas).map(|(sum, area)| sum / area).fold(0.0, f64::max)
 }

@@ -1,24 +1,28 @@
 //! The dense operator: the exchange G_ij = A_i F_ij of every pair, in f64, stored once.
 //!
-//! G = (unoccluded exchange by [`crate::form_factor::exchange`]) x (visible fraction by [`super::hidden`]). Pairs that face away
-//! cost nothing, pairs with an empty shaft between them neither shadows nor rays, a convex scene no tree. Row i of the triangle holds G_i0 .. G_i,i-1; G_ii is 0 because patches are flat.
+//! G = (unoccluded exchange by [`crate::form_factor::exchange`]) x (visible fraction by [`super::hidden`]). Clusters that cannot
+//! see each other are left out as a whole ([`crate::visibility::sight`]); pairs that face away cost nothing, pairs with an empty
+//! shaft between them neither shadows nor rays, a convex scene no tree. Row i of the triangle holds G_i0 .. G_i,i-1, or of these
+//! what is not 0 ([`super::triangle`]); G_ii is 0 because patches are flat.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::cmp::Reverse;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::hidden::{Blockers, Candidate, settle};
+use super::hidden::{Blockers, Candidate, improve, settle};
 use super::matrix::add_scaled;
 use super::tiles;
+use super::triangle::{Builder, Pattern, Row};
 use super::{FormFactors, apply_reciprocal};
 use crate::error::{Error, Result};
+use crate::form_factor::shadow::Shadows;
 use crate::form_factor::{Accuracy, Batch, Patch};
 use crate::geometry::sampling::hash;
-use crate::memory::{self, filled};
 use crate::progress::Progress;
 use crate::scene::Scene;
-use crate::visibility::bodies::Bodies;
 use crate::visibility::shaft::Shaft;
+use crate::visibility::sight::Sights;
 
 /// What to compute, and within what.
 #[derive(Debug, Clone, Copy)]
@@ -44,6 +48,7 @@ struct Uncertain {
 #[derive(Debug, Clone)]
 pub struct Dense {
     areas: Vec<f64>,
+    pattern: Pattern,
     exchange: Vec<f64>,
     uncertain: Vec<Uncertain>,
     kernel_error: f64,
@@ -56,33 +61,13 @@ pub struct Dense {
 const KERNEL_SHARE: f64 = 0.02;
 /// Fixed number of partial sums in a product, whatever the number of threads: the same bits every time.
 const PARTS: usize = 32;
-
+/// Pairs between two looks at the memory: some seconds of work, and rows of 128 MiB at most on their way into the triangle.
+const BLOCK: usize = 1 << 24;
 /// From so many columns on a product goes tile by tile.
 const MANY_COLUMNS: usize = 8;
 
-/// Memory for what is found on the way.
-struct Room {
-    limit: u64,
-    used: AtomicU64,
-}
-
-impl Room {
-    /// Takes room for some more candidates; false when there is none left.
-    fn take(&self, candidates: usize) -> bool {
-        // In its row and among all, and what may be left of it.
-        let bytes = (candidates * (2 * size_of::<Candidate>() + size_of::<Uncertain>())) as u64;
-        self.used.fetch_add(bytes, Ordering::Relaxed) + bytes <= self.limit
-    }
-}
-
-/// First entry of row i in the packed triangle.
-#[inline]
-fn row_start(i: usize) -> usize {
-    i * i.saturating_sub(1) / 2
-}
-
 impl Dense {
-    /// Bytes that the operator of `n` patches holds at least.
+    /// Bytes that the operator of `n` patches holds at most, but for 16 a pair of which a part is hidden.
     pub fn forecast(n: usize) -> u64 {
         let n = n as u64;
         4 * n * n.saturating_sub(1) + 8 * n
@@ -91,48 +76,68 @@ impl Dense {
     /// Computes the form factors of every pair.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a tolerance out of range or a patch that is there twice, [`Error::Memory`] before anything is
-    /// allocated, [`Error::Interrupted`].
+    /// [`Error::Invalid`] for a tolerance out of range or a patch that is there twice, [`Error::Memory`], before any work where
+    /// nothing can block and else as soon as what is not hidden no longer fits, [`Error::Interrupted`].
     pub fn new(scene: &Scene, options: DenseOptions, progress: &Progress) -> Result<Dense> {
         scene.require_diffuse("a matrix of form factors")?;
         scene.require_distinct("a matrix of form factors")?;
         Accuracy::new(options.tolerance)?;
         let accuracy = Accuracy::new((KERNEL_SHARE * options.tolerance).max(Accuracy::TIGHTEST))?;
         let n = scene.len();
-        let fits = |needed: u64| {
-            if needed <= options.memory {
-                return Ok(());
-            }
-            Err(Error::Memory {
-                what: format!("the dense exchange of {n} patches"),
-                needed,
-                available: options.memory,
-                remedy: "use fewer patches (a larger max_edge)".to_string(),
-            })
+        let too_much = |needed: u64| Error::Memory {
+            what: format!("the dense exchange of {n} patches"),
+            needed,
+            available: options.memory,
+            remedy: "use fewer patches (a larger max_edge)".to_string(),
         };
-        fits(Dense::forecast(n))?;
         let blockers = Blockers::of_scene(scene);
-        let mut exchange = filled(row_start(n), 0.0)?;
-        // How many pairs need their visibility sampled is known only as they are found.
-        let room = Room { limit: options.memory - Dense::forecast(n), used: AtomicU64::new(0) };
-        let patches: Vec<Patch> = (0..n).map(|i| Patch::new(scene.triangle(i))).collect();
-        let mut candidates = unoccluded(&patches, accuracy, &blockers.bodies, &mut exchange, &room, progress)?;
-        fits(Dense::forecast(n) + room.used.into_inner())?;
+        if blockers.bodies.is_empty() && Dense::forecast(n) > options.memory {
+            return Err(too_much(Dense::forecast(n)));
+        }
+        let work = Work {
+            patches: (0..n).map(|i| Patch::new(scene.triangle(i))).collect(),
+            sights: Sights::new(scene, &blockers.bodies, progress)?,
+            blockers,
+            accuracy,
+            seed: options.seed,
+        };
+        let (mut triangle, mut candidates, mut segments) = (Builder::default(), Vec::new(), 0);
+        progress.expect(pairs_of(n));
+        for rows in blocks(n) {
+            let done = pairs_of(rows.end);
+            for found in work.rows(rows, progress)? {
+                triangle.add(found.row)?;
+                candidates.extend(found.candidates);
+                segments += found.segments;
+            }
+            // How many pairs are not hidden is known only as they are found; the rows that are still to come need as much as
+            // those before.
+            let found = triangle.nbytes() + bytes_of_candidates(candidates.len());
+            if found + 8 * n as u64 > options.memory {
+                let all = found as f64 * (pairs_of(n) as f64 / done.max(1) as f64);
+                return Err(too_much(all as u64 + 8 * n as u64));
+            }
+        }
+        let (pattern, mut exchange) = triangle.finish()?;
+        // The order in which the errors of a row are added up: that of the rows, the longest first.
+        candidates.sort_unstable_by_key(|c: &Candidate| (Reverse(c.i), c.j));
         let budget = (options.tolerance - accuracy.tolerance()).max(0.5 * options.tolerance);
-        let (segments, visibility_error) =
-            settle(&patches, scene.areas(), &blockers, &mut candidates, budget, options.seed, progress)?;
+        let Work { patches, blockers, .. } = &work;
+        let (more, visibility_error) =
+            settle(patches, scene.areas(), blockers, &mut candidates, budget, options.seed, progress)?;
         let mut uncertain = Vec::new();
         for c in &candidates {
-            let g = &mut exchange[row_start(c.i as usize) + c.j as usize];
+            let Some(place) = pattern.place(c.i as usize, c.j as usize) else { continue };
+            let g = &mut exchange[place];
             if c.error > 0.0 && *g > 0.0 {
                 uncertain.push(Uncertain { i: c.i, j: c.j, standard_error: c.error * *g });
             }
             *g *= c.visible;
         }
         uncertain.shrink_to_fit();
-        let kernel_error = accuracy.tolerance();
-        let error_estimate = kernel_error + visibility_error;
-        Ok(Dense { areas: scene.areas().to_vec(), exchange, uncertain, kernel_error, error_estimate, segments })
+        let (kernel_error, areas) = (accuracy.tolerance(), scene.areas().to_vec());
+        let (error_estimate, segments) = (kernel_error + visibility_error, segments + more);
+        Ok(Dense { areas, pattern, exchange, uncertain, kernel_error, error_estimate, segments })
     }
 
     /// Estimate of the largest row error max_i sum_j |dF_ij|: the kernels' bound plus the error
@@ -146,24 +151,15 @@ impl Dense {
         self.segments
     }
 
-    /// G_i0 .. G_i,i-1.
-    fn lower(&self, i: usize) -> &[f64] {
-        &self.exchange[row_start(i)..][..i]
+    /// Calls `visit(j, G_ij)` for all that patch i exchanges with, in the order of j.
+    #[inline]
+    fn partners(&self, i: usize, mut visit: impl FnMut(usize, f64)) {
+        self.pattern.partners(i, |j, place| visit(j, self.exchange[place]));
     }
 
-    /// G_ji for j = i + 1, i + 2, ...
-    fn upper(&self, i: usize) -> impl Iterator<Item = f64> + '_ {
-        (i + 1..self.areas.len()).map(move |j| self.exchange[row_start(j) + i])
-    }
-
-    /// All G_ij of patch i with their j, in the order of j.
-    fn partners(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
-        self.lower(i).iter().copied().enumerate().chain((i + 1..).zip(self.upper(i)))
-    }
-
-    /// The packed triangle of G: the i entries G_i0 .. G_i,i-1 of every row i, m^2.
-    pub(super) fn exchange(&self) -> &[f64] {
-        &self.exchange
+    /// The entries of G, m^2, and their places.
+    pub(super) fn exchange(&self) -> (&Pattern, &[f64]) {
+        (&self.pattern, &self.exchange)
     }
 
     /// The same operator with another exchange, whose rows are off by no more than `error_estimate`.
@@ -184,17 +180,13 @@ impl FormFactors for Dense {
     fn gather(&self, i: usize, x: &[f64], out: &mut [f64]) {
         let bands = out.len();
         out.fill(0.0);
-        for ((_, g), x) in self.partners(i).zip(others(x, i, bands)) {
-            add_scaled(g, x, out);
-        }
+        self.partners(i, |j, g| add_scaled(g, &x[j * bands..][..bands], out));
         out.iter_mut().for_each(|out| *out /= self.areas[i]);
     }
 
     fn shoot(&self, i: usize, amount: &[f64], out: &mut [f64]) {
         let bands = amount.len();
-        for (j, g) in self.partners(i) {
-            add_scaled(g / self.areas[j], amount, &mut out[j * bands..][..bands]);
-        }
+        self.partners(i, |j, g| add_scaled(g / self.areas[j], amount, &mut out[j * bands..][..bands]));
     }
 
     /// Of few columns every G_ij is read once and used for both patches: half the memory traffic of two triangles. Of many it is
@@ -202,7 +194,12 @@ impl FormFactors for Dense {
     fn apply(&self, x: &[f64], bands: usize, out: &mut [f64]) {
         let n = self.areas.len();
         if bands >= MANY_COLUMNS {
-            tiles::apply(n, x, bands, out, |i, columns, row| row.copy_from_slice(&self.lower(i)[columns]));
+            let fill = |i: usize, columns: Range<usize>, row: &mut [f64]| {
+                row.fill(0.0);
+                let first = columns.start;
+                self.pattern.within(i, columns, |j, place| row[j - first] = self.exchange[place]);
+            };
+            tiles::apply(n, x, bands, out, fill);
             out.iter_mut().enumerate().for_each(|(k, out)| *out /= self.areas[k / bands]);
             return;
         }
@@ -215,12 +212,13 @@ impl FormFactors for Dense {
                 for i in bound(part)..bound(part + 1) {
                     let (before, from) = sums.split_at_mut(i * bands);
                     let (sum_i, x_i) = (&mut from[..bands], &x[i * bands..][..bands]);
-                    for (j, &g) in self.lower(i).iter().enumerate() {
+                    self.pattern.lower(i, |j, place| {
+                        let g = self.exchange[place];
                         if g != 0.0 {
                             add_scaled(g, &x[j * bands..][..bands], sum_i);
                             add_scaled(g, x_i, &mut before[j * bands..][..bands]);
                         }
-                    }
+                    });
                 }
                 sums
             })
@@ -235,8 +233,8 @@ impl FormFactors for Dense {
     }
 
     fn row(&self, i: usize, out: &mut [f64]) {
-        out[i] = 0.0;
-        self.partners(i).for_each(|(j, g)| out[j] = g / self.areas[i]);
+        out.fill(0.0);
+        self.partners(i, |j, g| out[j] = g / self.areas[i]);
     }
 
     fn kernel_error(&self) -> f64 {
@@ -278,62 +276,98 @@ impl FormFactors for Dense {
     }
 
     fn nbytes(&self) -> usize {
-        size_of_val(self.exchange.as_slice())
+        self.pattern.nbytes()
+            + size_of_val(self.exchange.as_slice())
             + size_of_val(self.areas.as_slice())
             + size_of_val(self.uncertain.as_slice())
     }
 }
 
-/// The rows of `x` of every patch but i.
-fn others(x: &[f64], i: usize, bands: usize) -> impl Iterator<Item = &[f64]> {
-    x[..i * bands].chunks_exact(bands).chain(x[(i + 1) * bands..].chunks_exact(bands))
+/// Pairs i > j of `n` patches.
+fn pairs_of(n: usize) -> u64 {
+    n as u64 * n.saturating_sub(1) as u64 / 2
 }
 
-/// Fills `packed` with the unoccluded exchange, and returns the pairs that something may stand between.
-fn unoccluded(
-    patches: &[Patch],
+/// The rows 0 .. n in blocks of about as many pairs.
+fn blocks(n: usize) -> impl Iterator<Item = Range<usize>> {
+    let mut first = 0;
+    std::iter::from_fn(move || {
+        let start = first;
+        let mut pairs = 0;
+        while first < n && (first == start || pairs + first <= BLOCK) {
+            pairs += first;
+            first += 1;
+        }
+        (start < first).then_some(start..first)
+    })
+}
+
+/// In its row and among all, and what may be left of it.
+fn bytes_of_candidates(count: usize) -> u64 {
+    (count * (2 * size_of::<Candidate>() + size_of::<Uncertain>())) as u64
+}
+
+/// What the rows are computed from.
+struct Work {
+    patches: Vec<Patch>,
+    blockers: Blockers,
+    sights: Sights,
     accuracy: Accuracy,
-    bodies: &Bodies,
-    packed: &mut [f64],
-    room: &Room,
-    progress: &Progress,
-) -> Result<Vec<Candidate>> {
-    let n = patches.len();
-    progress.expect(packed.len() as u64);
-    let mut rows = Vec::with_capacity(n);
-    let mut rest = packed;
-    for i in 0..n {
-        let (row, tail) = rest.split_at_mut(i);
-        rows.push((i, row));
-        rest = tail;
+    seed: u64,
+}
+
+/// A row of the unoccluded exchange without what is hidden, and the pairs of which a part may be.
+struct Found {
+    row: Row,
+    candidates: Vec<Candidate>,
+    segments: u64,
+}
+
+impl Work {
+    /// Some rows, in their order.
+    fn rows(&self, rows: Range<usize>, progress: &Progress) -> Result<Vec<Found>> {
+        // The longest rows first, so that the threads finish together.
+        let found: Result<Vec<Found>> = rows
+            .into_par_iter()
+            .rev()
+            .map_init(
+                || (Batch::new(), Shadows::default()),
+                |(batch, shadows), i| self.row(i, batch, shadows, progress),
+            )
+            .collect();
+        let mut found = found?;
+        found.reverse();
+        Ok(found)
     }
-    // The longest rows first, so that the threads finish together.
-    let found: Result<Vec<Vec<Candidate>>> = rows
-        .into_par_iter()
-        .rev()
-        .map_init(Batch::new, |batch, (i, row)| {
-            let pairs: Vec<[u32; 2]> = (0..i as u32).map(|j| [i as u32, j]).collect();
-            batch.exchange_pairs(patches, patches, &pairs, &accuracy, row)?;
-            let mut candidates = Vec::new();
-            if !bodies.is_empty() {
-                for (j, &exchange) in row.iter().enumerate().filter(|(_, g)| **g > 0.0) {
-                    let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
-                    let (i, j) = (i as u32, j as u32);
-                    if bodies.may_meet(&shaft, [i, j]) {
-                        candidates.push(Candidate::new(i, j, exchange));
-                    }
-                }
+
+    fn row(&self, i: usize, batch: &mut Batch, shadows: &mut Shadows, progress: &Progress) -> Result<Found> {
+        /// Pairs between two looks at the wish to stop.
+        const PAIRS: usize = 256;
+        let (patches, bodies) = (&self.patches, &self.blockers.bodies);
+        let Patch { corners, normal, .. } = &patches[i];
+        let may_see = self.sights.before(i as u32, corners, *normal, bodies);
+        let pairs: Vec<[u32; 2]> = may_see.iter().map(|&j| [i as u32, j]).collect();
+        let mut exchange = vec![0.0; pairs.len()];
+        batch.exchange_pairs(patches, patches, &pairs, &self.accuracy, &mut exchange)?;
+        let (mut candidates, mut segments) = (Vec::new(), 0);
+        for (&[i, j], g) in pairs.iter().zip(&mut exchange).filter(|(_, g)| **g > 0.0) {
+            let shaft = Shaft::new(corners, &patches[j as usize].corners);
+            if bodies.is_empty() || !bodies.may_meet(&shaft, [i, j]) {
+                continue;
             }
-            progress.advance(i as u64)?;
-            // Without room the count goes on, so that the error can tell what is needed.
-            if !room.take(candidates.len()) {
-                candidates = Vec::new();
+            let mut c = Candidate::new(i, j, *g);
+            segments += improve(&mut c, shadows, patches, &self.blockers, self.seed);
+            if c.error > 0.0 {
+                candidates.push(c);
+            } else {
+                *g *= c.visible;
             }
-            Ok(candidates)
-        })
-        .collect();
-    let found = found?;
-    let mut all = memory::room(found.iter().map(Vec::len).sum())?;
-    found.into_iter().for_each(|candidates| all.extend(candidates));
-    Ok(all)
+            if candidates.len() % PAIRS == 0 {
+                progress.advance(0)?;
+            }
+        }
+        progress.advance(i as u64)?;
+        let (column, value) = may_see.into_iter().zip(exchange).filter(|(_, g)| *g != 0.0).unzip();
+        Ok(Found { row: Row::new(i, column, value), candidates, segments })
+    }
 }

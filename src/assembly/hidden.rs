@@ -104,33 +104,45 @@ fn sample(
     candidates.par_chunks_mut(8).try_for_each_init(Shadows::default, |shadows, chunk| {
         let mut done = 0;
         for c in chunk.iter_mut().filter(|c| c.wanted > 0.0) {
-            let [a, b] = [c.i, c.j].map(|k| &patches[k as usize]);
-            let by_shadows = if c.segments > 0 { None } else { visible_by_shadows(shadows, blockers, c, a, b) };
-            if let Some(Visible { fraction, error }) = by_shadows {
-                // Shadows go on until they have what is wanted, or can no more.
-                (c.visible, c.error, c.spent) = (fraction, error, error > c.wanted);
-            } else {
-                // Shadows that gave up tell nothing of what segments would leave.
-                let (known, error) =
-                    if c.segments == 0 { (PILOT, unmet(f64::from(PILOT))) } else { (c.segments, c.error) };
-                let needed = f64::from(known) * (error / c.wanted).powf(1.0 / RATE);
-                let segments = needed.clamp(f64::from(PILOT), f64::from(MOST_SEGMENTS)).ceil() as u32;
-                let end = |k: u32, p: &Patch| End { patch: k, triangle: p.corners, normal: p.normal };
-                let v = visible_fraction(&blockers.tree, &end(c.i, a), &end(c.j, b), segments, seed);
-                let error = error_to_count_with(&v);
-                // Shadows may have known better before they gave up.
-                if c.segments > 0 || error <= c.error {
-                    (c.visible, c.error) = (v.value, error);
-                }
-                (c.segments, c.spent) = (segments, segments == MOST_SEGMENTS);
-                cast.fetch_add(u64::from(segments), Ordering::Relaxed);
-            }
-            c.wanted = 0.0;
+            cast.fetch_add(improve(c, shadows, patches, blockers, seed), Ordering::Relaxed);
             done += 1;
         }
         progress.advance(done)
     })?;
     Ok(cast.into_inner())
+}
+
+/// Brings the error of one candidate to what is wanted, as far as that can be; returns how many segments were cast.
+pub(super) fn improve(
+    c: &mut Candidate,
+    shadows: &mut Shadows,
+    patches: &[Patch],
+    blockers: &Blockers,
+    seed: u64,
+) -> u64 {
+    let [a, b] = [c.i, c.j].map(|k| &patches[k as usize]);
+    let by_shadows = if c.segments > 0 { None } else { visible_by_shadows(shadows, blockers, c, a, b) };
+    let mut cast = 0;
+    if let Some(Visible { fraction, error }) = by_shadows {
+        // Shadows go on until they have what is wanted, or can no more.
+        (c.visible, c.error, c.spent) = (fraction, error, error > c.wanted);
+    } else {
+        // Shadows that gave up tell nothing of what segments would leave.
+        let (known, error) = if c.segments == 0 { (PILOT, unmet(f64::from(PILOT))) } else { (c.segments, c.error) };
+        let needed = f64::from(known) * (error / c.wanted).powf(1.0 / RATE);
+        let segments = needed.clamp(f64::from(PILOT), f64::from(MOST_SEGMENTS)).ceil() as u32;
+        let end = |k: u32, p: &Patch| End { patch: k, triangle: p.corners, normal: p.normal };
+        let v = visible_fraction(&blockers.tree, &end(c.i, a), &end(c.j, b), segments, seed);
+        let error = error_to_count_with(&v);
+        // Shadows may have known better before they gave up.
+        if c.segments > 0 || error <= c.error {
+            (c.visible, c.error) = (v.value, error);
+        }
+        (c.segments, c.spent) = (segments, segments == MOST_SEGMENTS);
+        cast = u64::from(segments);
+    }
+    c.wanted = 0.0;
+    cast
 }
 
 /// What is to be expected of the part that none of m segments met, 1 / (m + 2) (Laplace's rule of succession).

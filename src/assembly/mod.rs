@@ -2,6 +2,7 @@
 //!
 //! - [`operator`]: the trait [`FormFactors`]: gather, shoot, apply, forwards and backwards
 //! - [`dense`]: the symmetric exchange of every pair, occluded, stored once
+//! - [`triangle`]: where its entries lie, all of them or those that are not 0
 //! - [`block`]: some rows by Monte Carlo or hemicube, stored sparsely, each for itself
 //! - [`sampled`]: all of them as an operator
 //! - [`rays`]: rows by quasi-random rays, and the linear field that they show
@@ -19,6 +20,7 @@ pub mod operator;
 pub mod rays;
 pub mod sampled;
 mod tiles;
+mod triangle;
 
 pub use block::{Block, Estimator, SampledOptions};
 pub use dense::{Dense, DenseOptions};

@@ -15,6 +15,8 @@ use super::hull::Hull;
 use super::merge::{Mesh, NONE};
 use super::shaft::Shaft;
 use super::solids::{Others, Shells};
+use crate::geometry::Vec3;
+use crate::geometry::polygon::centre;
 use crate::scene::Scene;
 
 /// The bodies of a scene that can stand between two of its patches.
@@ -115,6 +117,21 @@ impl Bodies {
         self.body_of[patch as usize]
     }
 
+    /// Whether one solid is found that hides all in the convex hull of `b` from all in that of `a`: one of those between the centres.
+    pub fn hide(&self, a: &[Vec3], b: &[Vec3]) -> bool {
+        let (start, end) = (centre(a), centre(b));
+        let inverse = (end - start).recip();
+        let mut hidden = false;
+        self.tree.walk(|node| {
+            let opens = !hidden && meets_box(start, inverse, node.low, node.high);
+            for (k, (low, high)) in self.tree.items[node.items.clone()].iter().filter(|_| opens) {
+                hidden = hidden || (meets_box(start, inverse, *low, *high) && self.bodies[*k as usize].hides(a, b));
+            }
+            opens
+        });
+        hidden
+    }
+
     /// Visits the bodies whose boxes a shaft may meet, but for `own`, until `visit` returns false.
     fn near(&self, shaft: &Shaft, own: [u32; 2], mut visit: impl FnMut(u32) -> bool) {
         let mut goes_on = true;
@@ -136,4 +153,12 @@ impl Bodies {
     pub fn entangled(&self, patch: u32) -> bool {
         self.entangled[patch as usize]
     }
+}
+
+/// Whether a segment meets a box; `inverse` is 1 over its components. Where a component is 0 and the box's face lies in the segment,
+/// either answer may come.
+#[inline]
+fn meets_box(start: Vec3, inverse: Vec3, low: Vec3, high: Vec3) -> bool {
+    let (a, b) = ((low - start) * inverse, (high - start) * inverse);
+    a.min(b).max_element().max(0.0) <= a.max(b).min_element().min(1.0)
 }

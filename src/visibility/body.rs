@@ -3,6 +3,9 @@
 use crate::geometry::Vec3;
 use crate::geometry::polygon::{Plane, Side};
 
+/// What a body counts as smaller where it has to hide for certain, relative to its size: far above what rounds off.
+const MARGIN: f64 = 1e-6;
+
 /// A convex body: a solid, or a flat sheet as a solid of two faces.
 #[derive(Debug, Clone)]
 pub struct Body {
@@ -67,6 +70,30 @@ impl Body {
     pub fn is_sheet(&self) -> bool {
         let [front, back, ..] = self.faces.as_slice() else { return false };
         front.normal == -back.normal && front.point == back.point
+    }
+
+    /// Whether the body stands in the way of every segment from one of `a` to one of `b`, and therefore of all between the convex
+    /// hulls of the two: asked of a body smaller by [`MARGIN`], so that none is hidden by what it touches.
+    pub fn hides(&self, a: &[Vec3], b: &[Vec3]) -> bool {
+        let margin = MARGIN * (self.high - self.low).max_element() + self.slack;
+        a.iter().all(|x| b.iter().all(|y| self.cuts(*x, *y, margin)))
+    }
+
+    /// Whether a segment enters and leaves the body that is smaller by `margin`.
+    fn cuts(&self, x: Vec3, y: Vec3, margin: f64) -> bool {
+        let (mut enters, mut leaves) = (0.0f64, 1.0f64);
+        for face in &self.faces {
+            let (d0, d1) = (face.distance(x) + margin, face.distance(y) + margin);
+            if d0 > 0.0 && d1 > 0.0 {
+                return false;
+            }
+            if d0 > 0.0 {
+                enters = enters.max(d0 / (d0 - d1));
+            } else if d1 > 0.0 {
+                leaves = leaves.min(d0 / (d0 - d1));
+            }
+        }
+        0.0 < enters && enters < leaves && leaves < 1.0
     }
 
     /// Where the body lies as seen from a plane that is known to `slack`.

@@ -13,6 +13,7 @@
 //! - [`specular`]: rays followed over mirrors and through glass
 //! - [`bodies`]: what blocks, merged ([`merge`], [`solids`]) to few convex bodies ([`body`]); [`shaft`]: which of them may stand between two patches;
 //!   [`box_tree`]: where they are looked up; [`hull`]: what cannot block
+//! - [`sight`]: whole clusters of patches that cannot see each other
 //!
 //! The conversion to f32, the normalisation of coordinates and the self-hit rule live in this folder and nowhere else.
 
@@ -30,6 +31,7 @@ mod own_surface;
 mod ray;
 pub mod shaft;
 mod sift;
+pub mod sight;
 mod solids;
 pub mod specular;
 mod traverse;
