@@ -37,7 +37,7 @@ struct Place {
 @group(1) @binding(4) var maps: texture_depth_2d_array;
 
 // What is nearer to a light casts no shadow.
-const NEAR = 1e-3;
+const NEAR = 2e-4;
 // The eye stands so much above the surface, which it does not see.
 const LIFT = 1e-5;
 // Depths of triangles that come near to the eye are rounded, relative to the greatest depth, NEAR / NEAR.
