@@ -46,8 +46,8 @@ _SHARE = 0.7
 _PILOT = 8
 # Of a scene with its tree, and of vectors, a patch on every worker.
 _SCENE_BYTES = 600
-# Blocks a worker, so that the faster may take more of them.
-_BLOCKS = 4
+# Blocks a worker, so that the faster may take more of them, and none waits long for the last.
+_BLOCKS = 8
 # Seconds: until a scheduler answers; between two looks at who is there; until lost workers have been replaced.
 _CONNECT, _LOOK, _PATIENCE = 5.0, 1.0, 60.0
 # Workers that may be lost over one block, and times that one may be lost.
@@ -188,7 +188,7 @@ def form_factors(
         tolerance: bound on the expected row error, the sum over j of E abs(dF_ij), in [1e-10, 1).
         method: ``"monte_carlo"`` or ``"hemicube"``, as in :func:`radiosity.form_factors`.
         seed: of the rays.
-        blocks: how many blocks of rows; None for four a worker, or more where memory is short.
+        blocks: how many blocks of rows; None for eight a worker, or more where memory is short.
         progress: see :mod:`radiosity.progress`; counts rows.
 
     Raises:
@@ -246,9 +246,9 @@ class DistributedFormFactors:
             raise ConnectionError("the cluster has no workers; start some and call again")
         self._bytes_of_row = rows.bytes_of_row()
         budgets = [self._budget(told) for told in fit.values()]
-        # While a block is put together its entries are held twice.
-        least = min(n, _BLOCKS * len(fit))
-        count = blocks or min(n, max(least, ceil(8 * n * self._bytes_of_row / max(min(budgets), 1))))
+        # No block takes more than an eighth of a worker's memory.
+        most_rows = max(min(budgets) // (8 * self._bytes_of_row), 1)
+        count = blocks or min(n, max(_BLOCKS * len(fit), ceil(n / most_rows)))
         self._bounds = [k * n // count for k in range(count + 1)]
         size = self._forecast(0)
         room = sum(max(budget // size - 1, 0) for budget in budgets)
@@ -508,7 +508,7 @@ class DistributedFormFactors:
         )
 
     def _forecast(self, k: int) -> int:
-        """Bytes that it takes to put block k together."""
+        """Bytes that it takes to put block k together: its entries are held twice meanwhile."""
         return 2 * (self._bounds[k + 1] - self._bounds[k]) * self._bytes_of_row
 
     def _budget(self, told: _Examined) -> int:
