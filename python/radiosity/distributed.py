@@ -21,6 +21,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import accumulate
 from math import ceil
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -179,7 +180,8 @@ def form_factors(
     """The form factors of a scene, their rows spread over the workers of a Dask cluster.
 
     The factors are those of :func:`radiosity.form_factors` with the same method, tolerance and seed, bit for bit. A
-    worker computes on as many threads as Dask gives it. Needs the extra ``distributed``, here and on the workers.
+    worker computes on as many threads as Dask gives it. Needs the extra ``distributed`` here, on the workers and where
+    the scheduler runs.
 
     Args:
         scene: the patches.
@@ -251,7 +253,8 @@ class DistributedFormFactors:
         count = blocks or min(n, max(_BLOCKS * len(fit), ceil(n / most_rows)))
         self._bounds = [k * n // count for k in range(count + 1)]
         size = self._forecast(0)
-        room = sum(max(budget // size - 1, 0) for budget in budgets)
+        # While the last block is put together its entries are held twice.
+        room = sum(max(2 * budget // size - 1, 0) for budget in budgets)
         if room < count:
             raise MemoryError(
                 f"the form factors of {n} patches need about {_mib(n * self._bytes_of_row)} in {count} blocks (from "
@@ -265,8 +268,7 @@ class DistributedFormFactors:
         self._open(fit)
         with self._lock:
             self._assemble(report)
-        entries = [self._found[k].entries for k in range(count)]
-        self._before = [sum(entries[:k]) for k in range(count)]
+        self._before = list(accumulate((self._found[k].entries for k in range(count - 1)), initial=0))
 
     def __repr__(self) -> str:
         return (
