@@ -197,8 +197,8 @@ def form_factors(
         ImportError: the extra is not installed.
         TypeError, ValueError: an unknown method, a value out of range, a scene with mirrors or glass.
         ConnectionError: the scheduler cannot be reached, or it has no workers.
-        RuntimeError: a worker without this version of radiosity, by its address; or a block over which several workers
-            were lost.
+        RuntimeError: a worker, by its address, or the scheduler has not this version of radiosity; or several workers
+            were lost over one block.
         MemoryError: the factors would not fit into the workers. The forecast, from eight rows, is made before the scene
             is sent; rows that turn out larger are refused as they outgrow the memory.
 
@@ -243,7 +243,9 @@ class DistributedFormFactors:
         self._lock = threading.Lock()
         self._workers: dict[str, _Worker] = {}
         n = rows.scene.n_patches
-        fit = _examined(client, list(_alive(client)))
+        alive = _alive(client)
+        _examine_scheduler(client)
+        fit = _examined(client, list(alive))
         if not fit:
             raise ConnectionError("the cluster has no workers; start some and call again")
         self._bytes_of_row = rows.bytes_of_row()
@@ -551,6 +553,23 @@ def _alive(client: distributed.Client) -> dict[str, int]:
         raise ConnectionError(f"the cluster is gone: {error}") from error
 
 
+def _examine_scheduler(client: distributed.Client) -> None:
+    """Looks whether the scheduler understands what passes through it."""
+    from . import __version__
+
+    def version() -> str:
+        import radiosity.distributed
+
+        return radiosity.__version__
+
+    try:
+        told = client.run_on_scheduler(version)
+    except ImportError as error:
+        raise RuntimeError(f"the scheduler cannot import radiosity.distributed: {error}") from error
+    if told != __version__:
+        raise RuntimeError(f"the scheduler has radiosity {told}, but {__version__} is needed, as here")
+
+
 def _settled(call: Any) -> bool:
     """Whether a future has an outcome, within a second."""
     try:
@@ -569,7 +588,7 @@ def _examined(client: distributed.Client, addresses: list[str]) -> dict[str, _Ex
 
     def examine(dask_worker: Any) -> tuple[str, int, int, int, int]:
         # Dask carries a function within a function as code: this one runs where there is no radiosity.
-        import radiosity
+        import radiosity.distributed
         from radiosity.memory import available_bytes
 
         limit = dask_worker.memory_manager.memory_limit
