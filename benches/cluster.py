@@ -5,6 +5,7 @@ and the messages are those of any other scene of as many patches. Then assembly 
 two workers. Last, the constants of the plan in `docs/distributed.md`.
 """
 
+import math
 import os
 import time
 
@@ -21,6 +22,9 @@ PRODUCTS = 41
 # Of one machine and two workers, by turns.
 TURNS = 3
 NAMES = ("one machine", "two workers")
+# The plan: (patches, bytes and cores of a machine); so many rays a patch, each of which meets another; 10 Gbit/s.
+PLAN = ((10_000_000, 64e9, 16), (1_000_000_000, 512e9, 64))
+RAYS, BANDS, LINK, SHARE = 1024, 3, 1.25e9, 0.7
 
 
 def cluster(workers, threads):
@@ -66,7 +70,8 @@ def overhead() -> None:
                 print(f"{name:26s} {np.median(spent):7.1f} {spent.min():7.1f} {spent.max():7.1f}")
 
 
-def two_workers() -> None:
+def two_workers() -> tuple[float, float]:
+    """Rays a second and core, seconds an entry of a product on one core."""
     scene = rad.scenes.cornell_box(max_edge=BOX_EDGE)
     cores = os.cpu_count() or 2
     print(f"\n{scene.n_patches} patches, row tolerance {TIGHT:g}, {cores} cores: seconds, and ratio to one machine")
@@ -96,9 +101,10 @@ def two_workers() -> None:
     print(f"\nrays       {rays / n:.0f} a patch, {per_core / 1e6:.2f} million a second and core")
     print(f"rows       {entries / n:.0f} entries, {G.nbytes / n:.0f} bytes each")
     print(f"products   {1e9 * product * cores / entries:.2f} ns an entry and core, 3 bands")
+    return per_core, product * cores / entries
 
 
-def bytes_of_scene() -> None:
+def bytes_of_scene() -> float:
     def used(dask_worker):
         return dask_worker.monitor.get_process_memory()
 
@@ -110,12 +116,29 @@ def bytes_of_scene() -> None:
             held.append(next(iter(client.run(used).values())) - F.nbytes)
     per_patch = (held[1] - held[0]) / (large.n_patches - small.n_patches)
     print(f"scene      {per_patch:.0f} bytes a patch on a worker, beside its rows")
+    return per_patch
+
+
+def plan(per_core, of_entry, per_patch) -> None:
+    """What larger scenes would take if all went on as measured here."""
+    print(f"\nplan: {RAYS} rays a patch, {BANDS} bands, {8 * LINK / 1e9:.0f} Gbit/s")
+    for n, memory, cores in PLAN:
+        rows, scene, x = n * (12.0 * RAYS + 12.0), n * per_patch, 8.0 * BANDS * n
+        machines = math.ceil(rows / (SHARE * memory - scene))
+        work = n * RAYS / (machines * cores)
+        print(
+            f"{n:,} patches, machines of {memory / 1e9:.0f} GB and {cores} cores\n"
+            f"  rows {rows / 1e9:.0f} GB, scene {scene / 1e9:.1f} GB a machine: {machines} machines\n"
+            f"  assembly {work / per_core:.0f} s, product {work * of_entry:.1f} s\n"
+            f"  traffic of a product {machines * x / 1e9:.1f} GB out, {x / 1e9:.2f} GB back: "
+            f"{(machines + 1) * x / LINK:.1f} s on the driver's link, {2 * x / LINK:.1f} s if it sent x once\n"
+            f"  a vector of the error estimate's 18 columns {18 * 8 * n / 1e9:.1f} GB on the driver"
+        )
 
 
 def main() -> None:
     overhead()
-    two_workers()
-    bytes_of_scene()
+    plan(*two_workers(), bytes_of_scene())
 
 
 if __name__ == "__main__":

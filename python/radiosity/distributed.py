@@ -467,10 +467,14 @@ class DistributedFormFactors:
 
     def _call(self, worker: _Worker, what: str, *arguments: Any) -> Any:
         """A future of what the worker's shelf answers; None where the worker is known to be lost."""
-        # The actor itself looks after its worker, and may raise only RuntimeError for that.
-        with suppress(RuntimeError):
-            return None if worker.shelf is None else getattr(worker.shelf, what)(*arguments)
-        return None
+        if worker.shelf is None:
+            return None
+        try:
+            method = getattr(worker.shelf, what)
+        except (RuntimeError, ValueError):
+            # The actor has been told; Dask says it by the one or the other, by its version.
+            return None
+        return method(*arguments)
 
     def _answer(self, worker: _Worker, call: Any) -> Any:
         """What a future holds in the end; None, and the worker is forgotten, when it is lost."""
