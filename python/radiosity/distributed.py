@@ -362,7 +362,7 @@ class DistributedFormFactors:
         """Every row's answer."""
         out = np.empty_like(x)
         with self._lock:
-            missing = set(range(len(self._losses)))
+            missing = set(range(len(self._losses))) if x.size else set()
             while missing:
                 self._assemble(None)
                 calls = [
