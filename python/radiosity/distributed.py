@@ -21,6 +21,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import accumulate
 from math import ceil
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -46,8 +47,8 @@ _SHARE = 0.7
 _PILOT = 8
 # Of a scene with its tree, and of vectors, a patch on every worker.
 _SCENE_BYTES = 600
-# Blocks a worker, so that the faster may take more of them.
-_BLOCKS = 4
+# Blocks a worker, so that the faster may take more of them, and none waits long for the last.
+_BLOCKS = 8
 # Seconds: until a scheduler answers; between two looks at who is there; until lost workers have been replaced.
 _CONNECT, _LOOK, _PATIENCE = 5.0, 1.0, 60.0
 # Workers that may be lost over one block, and times that one may be lost.
@@ -179,7 +180,8 @@ def form_factors(
     """The form factors of a scene, their rows spread over the workers of a Dask cluster.
 
     The factors are those of :func:`radiosity.form_factors` with the same method, tolerance and seed, bit for bit. A
-    worker computes on as many threads as Dask gives it. Needs the extra ``distributed``, here and on the workers.
+    worker computes on as many threads as Dask gives it. Needs the extra ``distributed`` here, on the workers and where
+    the scheduler runs.
 
     Args:
         scene: the patches.
@@ -188,15 +190,15 @@ def form_factors(
         tolerance: bound on the expected row error, the sum over j of E abs(dF_ij), in [1e-10, 1).
         method: ``"monte_carlo"`` or ``"hemicube"``, as in :func:`radiosity.form_factors`.
         seed: of the rays.
-        blocks: how many blocks of rows; None for four a worker, or more where memory is short.
+        blocks: how many blocks of rows; None for eight a worker, or more where memory is short.
         progress: see :mod:`radiosity.progress`; counts rows.
 
     Raises:
         ImportError: the extra is not installed.
         TypeError, ValueError: an unknown method, a value out of range, a scene with mirrors or glass.
         ConnectionError: the scheduler cannot be reached, or it has no workers.
-        RuntimeError: a worker without this version of radiosity, by its address; or a block over which several workers
-            were lost.
+        RuntimeError: a worker, by its address, or the scheduler has not this version of radiosity; or several workers
+            were lost over one block.
         MemoryError: the factors would not fit into the workers. The forecast, from eight rows, is made before the scene
             is sent; rows that turn out larger are refused as they outgrow the memory.
 
@@ -241,17 +243,20 @@ class DistributedFormFactors:
         self._lock = threading.Lock()
         self._workers: dict[str, _Worker] = {}
         n = rows.scene.n_patches
-        fit = _examined(client, list(_alive(client)))
+        alive = _alive(client)
+        _examine_scheduler(client)
+        fit = _examined(client, list(alive))
         if not fit:
             raise ConnectionError("the cluster has no workers; start some and call again")
         self._bytes_of_row = rows.bytes_of_row()
         budgets = [self._budget(told) for told in fit.values()]
-        # While a block is put together its entries are held twice.
-        least = min(n, _BLOCKS * len(fit))
-        count = blocks or min(n, max(least, ceil(8 * n * self._bytes_of_row / max(min(budgets), 1))))
+        # No block takes more than an eighth of a worker's memory.
+        most_rows = max(min(budgets) // (8 * self._bytes_of_row), 1)
+        count = blocks or min(n, max(_BLOCKS * len(fit), ceil(n / most_rows)))
         self._bounds = [k * n // count for k in range(count + 1)]
         size = self._forecast(0)
-        room = sum(max(budget // size - 1, 0) for budget in budgets)
+        # While the last block is put together its entries are held twice.
+        room = sum(max(2 * budget // size - 1, 0) for budget in budgets)
         if room < count:
             raise MemoryError(
                 f"the form factors of {n} patches need about {_mib(n * self._bytes_of_row)} in {count} blocks (from "
@@ -265,8 +270,7 @@ class DistributedFormFactors:
         self._open(fit)
         with self._lock:
             self._assemble(report)
-        entries = [self._found[k].entries for k in range(count)]
-        self._before = [sum(entries[:k]) for k in range(count)]
+        self._before = list(accumulate((self._found[k].entries for k in range(count - 1)), initial=0))
 
     def __repr__(self) -> str:
         return (
@@ -358,7 +362,7 @@ class DistributedFormFactors:
         """Every row's answer."""
         out = np.empty_like(x)
         with self._lock:
-            missing = set(range(len(self._losses)))
+            missing = set(range(len(self._losses))) if x.size else set()
             while missing:
                 self._assemble(None)
                 calls = [
@@ -463,10 +467,14 @@ class DistributedFormFactors:
 
     def _call(self, worker: _Worker, what: str, *arguments: Any) -> Any:
         """A future of what the worker's shelf answers; None where the worker is known to be lost."""
-        # The actor itself looks after its worker, and may raise only RuntimeError for that.
-        with suppress(RuntimeError):
-            return None if worker.shelf is None else getattr(worker.shelf, what)(*arguments)
-        return None
+        if worker.shelf is None:
+            return None
+        try:
+            method = getattr(worker.shelf, what)
+        except (RuntimeError, ValueError):
+            # The actor has been told; Dask says it by the one or the other, by its version.
+            return None
+        return method(*arguments)
 
     def _answer(self, worker: _Worker, call: Any) -> Any:
         """What a future holds in the end; None, and the worker is forgotten, when it is lost."""
@@ -508,7 +516,7 @@ class DistributedFormFactors:
         )
 
     def _forecast(self, k: int) -> int:
-        """Bytes that it takes to put block k together."""
+        """Bytes that it takes to put block k together: its entries are held twice meanwhile."""
         return 2 * (self._bounds[k + 1] - self._bounds[k]) * self._bytes_of_row
 
     def _budget(self, told: _Examined) -> int:
@@ -549,6 +557,23 @@ def _alive(client: distributed.Client) -> dict[str, int]:
         raise ConnectionError(f"the cluster is gone: {error}") from error
 
 
+def _examine_scheduler(client: distributed.Client) -> None:
+    """Looks whether the scheduler understands what passes through it."""
+    from . import __version__
+
+    def version() -> str:
+        import radiosity.distributed
+
+        return radiosity.__version__
+
+    try:
+        told = client.run_on_scheduler(version)
+    except ImportError as error:
+        raise RuntimeError(f"the scheduler cannot import radiosity.distributed: {error}") from error
+    if told != __version__:
+        raise RuntimeError(f"the scheduler has radiosity {told}, but {__version__} is needed, as here")
+
+
 def _settled(call: Any) -> bool:
     """Whether a future has an outcome, within a second."""
     try:
@@ -567,7 +592,7 @@ def _examined(client: distributed.Client, addresses: list[str]) -> dict[str, _Ex
 
     def examine(dask_worker: Any) -> tuple[str, int, int, int, int]:
         # Dask carries a function within a function as code: this one runs where there is no radiosity.
-        import radiosity
+        import radiosity.distributed
         from radiosity.memory import available_bytes
 
         limit = dask_worker.memory_manager.memory_limit

@@ -175,10 +175,10 @@ impl Block {
                 },
             )
             .collect();
-        Block::from_rows(first, n, estimator, rows?)
+        Ok(Block::from_rows(first, n, estimator, rows?))
     }
 
-    fn from_rows(first: usize, patches: usize, estimator: Estimator, rows: Vec<Row>) -> Result<Block> {
+    fn from_rows(first: usize, patches: usize, estimator: Estimator, rows: Vec<Row>) -> Block {
         let entries = rows.iter().map(|row| row.index.len()).sum();
         let (mut start, mut index, mut value) = (vec![0], Vec::with_capacity(entries), Vec::with_capacity(entries));
         let (mut rays, mut error, mut error_estimate) = (Vec::new(), Vec::new(), 0.0f64);
@@ -196,8 +196,8 @@ impl Block {
             Estimator::MonteCarlo => Uncertainty::Rays(rays.into_iter().map(|m| m as u32).collect()),
             Estimator::Hemicube => Uncertainty::Entries(error),
         };
-        let rows = Compressed::new(start, index, value, first, patches)?;
-        Ok(Block { first, patches, rows, uncertainty, error_estimate, rays: total })
+        let rows = Compressed { start, index, value };
+        Block { first, patches, rows, uncertainty, error_estimate, rays: total }
     }
 
     /// Number of rows.

@@ -75,32 +75,6 @@ pub(super) struct Compressed {
 }
 
 impl Compressed {
-    /// Rows over `columns` columns, the first of which is row `first` of the whole.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] when the arrays do not fit together, or an entry is outside [0, 1].
-    pub(super) fn new(
-        start: Vec<usize>,
-        index: Vec<u32>,
-        value: Vec<f64>,
-        first: usize,
-        columns: usize,
-    ) -> Result<Compressed> {
-        let fits = start.first() == Some(&0)
-            && start.windows(2).all(|w| w[0] <= w[1])
-            && start.last() == Some(&index.len())
-            && index.len() == value.len()
-            && index.iter().all(|&j| (j as usize) < columns);
-        if !fits {
-            return Err(Error::Invalid(format!(
-                "the sparse arrays do not describe rows of {columns} columns in CSR form"
-            )));
-        }
-        let rows = Compressed { start, index, value };
-        check_entries((0..rows.len()).flat_map(|i| rows.row(i).map(move |(j, f)| (first + i, j, f))))?;
-        Ok(rows)
-    }
-
     /// Number of rows.
     pub(super) fn len(&self) -> usize {
         self.start.len() - 1
@@ -172,7 +146,16 @@ impl SparseMatrix {
     /// [`Error::Invalid`] when the arrays do not fit together, or an entry is outside [0, 1].
     pub fn new(start: Vec<usize>, index: Vec<u32>, value: Vec<f64>) -> Result<SparseMatrix> {
         let n = start.len().saturating_sub(1);
-        let rows = Compressed::new(start, index, value, 0, n)?;
+        let fits = start.first() == Some(&0)
+            && start.windows(2).all(|w| w[0] <= w[1])
+            && start.last() == Some(&index.len())
+            && index.len() == value.len()
+            && index.iter().all(|&j| (j as usize) < n);
+        if !fits {
+            return Err(Error::Invalid("the sparse arrays do not describe a square matrix in CSR form".to_string()));
+        }
+        let rows = Compressed { start, index, value };
+        check_entries((0..n).flat_map(|i| rows.row(i).map(move |(j, f)| (i, j, f))))?;
         let columns = rows.transposed();
         Ok(SparseMatrix { rows, columns })
     }

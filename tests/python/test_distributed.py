@@ -91,7 +91,7 @@ def test_bits_are_those_of_one_machine(cluster, client, room, workers, blocks, m
     # One machine keeps the columns, too, and the areas.
     assert 0 < F.nbytes < local.nbytes
     assert sum(F.held.values()) == F.nbytes
-    for shape in ((), (1,), (3,)):
+    for shape in ((), (0,), (1,), (3,)):
         x = some_light(scene, shape)
         assert np.array_equal(F @ x, local @ x)
     n = scene.n_patches
