@@ -20,6 +20,7 @@ from . import mitsuba, plot, scenes
 from .bounces import bounces
 from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
 from .instant import VirtualLights, instant, virtual_lights
+from .lights import PointLight, Sky, SpotLight, Sun, direct_irradiance, sky_coefficients
 from .load import load
 from .render import Camera, render, save_image, two_pass
 from .save import load_solution, save
@@ -35,12 +36,17 @@ __all__ = [
     "ConvergenceError",
     "Forecast",
     "FormFactors",
+    "PointLight",
     "Scene",
+    "Sky",
     "Solution",
+    "SpotLight",
+    "Sun",
     "View",
     "VirtualLights",
     "ambient",
     "bounces",
+    "direct_irradiance",
     "forecast",
     "form_factor",
     "form_factors",
@@ -55,6 +61,7 @@ __all__ = [
     "save_image",
     "scenes",
     "show",
+    "sky_coefficients",
     "solve",
     "solve_system",
     "two_pass",

@@ -6,10 +6,12 @@ import numpy.typing as npt
 
 __all__ = [
     "FormFactors",
+    "Lights",
     "Scene",
     "ambient",
     "assess",
     "corner_irradiance",
+    "direct_irradiance",
     "forecast_scene",
     "form_factor",
     "gather",
@@ -17,6 +19,7 @@ __all__ = [
     "pair_form_factors",
     "places",
     "render",
+    "sky_coefficients",
     "solve",
     "solve_hierarchical",
     "solve_scene",
@@ -107,6 +110,16 @@ class Scene:
     def occluded(self, p: _Floats, q: _Floats, threads: int | None) -> npt.NDArray[np.bool_]: ...
 
 @final
+class Lights:
+    def __new__(
+        cls,
+        bands: int,
+        suns: list[tuple[_Point, list[float]]],
+        points: list[tuple[_Point, list[float], tuple[_Point, float, float] | None]],
+        skies: list[tuple[str, int, int, _Point, _Point, _Floats]],
+    ) -> Lights: ...
+
+@final
 class FormFactors:
     @staticmethod
     def dense(
@@ -171,6 +184,7 @@ def solve(
 ) -> _Solved: ...
 def solve_scene(
     scene: Scene,
+    lights: Lights,
     tolerance: float,
     linear: bool,
     refine: bool,
@@ -179,8 +193,30 @@ def solve_scene(
     threads: int | None,
     progress: _Report | None,
 ) -> _SolvedScene: ...
+def direct_irradiance(
+    scene: Scene,
+    lights: Lights,
+    tolerance: float,
+    seed: int,
+    memory: int,
+    threads: int | None,
+    progress: _Report | None,
+) -> tuple[_Floats, _Floats, float]: ...
+def sky_coefficients(
+    scene: Scene,
+    rows: int,
+    columns: int,
+    up: _Point,
+    north: _Point,
+    rays: int,
+    seed: int,
+    memory: int,
+    threads: int | None,
+    progress: _Report | None,
+) -> _Floats: ...
 def forecast_scene(
     scene: Scene,
+    lights: Lights,
     tolerance: float,
     linear: bool,
     refine: bool,
@@ -191,6 +227,7 @@ def forecast_scene(
 ) -> tuple[float, int]: ...
 def assess(
     scene: Scene,
+    lights: Lights,
     irradiance: _Floats,
     tolerance: float,
     seed: int,
@@ -202,6 +239,7 @@ def ambient(areas: _Floats, unshot: _Floats, reflectance: _Floats) -> _Floats: .
 def corner_irradiance(scene: Scene, irradiance: _Floats, threads: int | None) -> _Floats: ...
 def gather(
     scene: Scene,
+    lights: Lights,
     irradiance: _Floats,
     viewpoint: _Viewpoint,
     width: int,

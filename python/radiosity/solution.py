@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .arrays import FloatArray
+from .lights import Light
 from .report import counted
 from .scene import Scene
 
@@ -32,7 +33,7 @@ class EnergyAudit:
     """
 
     emitted: FloatArray
-    """(b,) sum of A E."""
+    """(b,) sum of A E, and of A H0 where lights that are no patches bring H0."""
     absorbed: FloatArray
     """(b,) sum of A (1 - rho) H over the diffuse patches, and of what falls on mirrors the part 1 - mirror that they do
     not send back. Glass absorbs nothing."""
@@ -142,7 +143,7 @@ def _watts(power: FloatArray) -> str:
 
 @dataclass(frozen=True, repr=False)
 class Solution:
-    """A solved radiosity equation B = E + rho H, H = F B."""
+    """A solved radiosity equation B = E + rho H, H = H0 + F B, with H0 straight from :attr:`lights`."""
 
     radiosity: FloatArray
     """(n, b) radiosity B, W/m^2."""
@@ -165,6 +166,8 @@ class Solution:
     elements: Solution | None = None
     """By ``"hierarchical"``: the same on the leaves of the tree of elements, as a mesh without T-junctions, whose
     ``.scene.parent`` names the patch of each face. None for other methods."""
+    lights: tuple[Light, ...] = ()
+    """The lights that are no patches, in the bands of the scene."""
 
     @property
     def as_shown(self) -> Solution:

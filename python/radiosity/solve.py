@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -28,6 +28,7 @@ from .arrays import (
 )
 from .form_factors import FormFactors, form_factors_as_reached
 from .glass import glass_hints
+from .lights import Light, core_lights, direct_irradiance, in_chosen_bands, lights_of, spectra
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .report import listed
@@ -46,6 +47,8 @@ _SAMPLING_SHARE = 0.8
 # row: on the reference scenes a row error of 3 tolerances leaves an error of 0.1 to 0.8 tolerances in B - E.
 _FIRST_ROW_TOLERANCE = 3.0
 _ATTEMPTS = 6
+# Share of the tolerance that H0 may use where it is found before the rest: its error adds to the others in squares.
+_STRAIGHT_SHARE = 0.3
 # Of the iteration: relative to E, and so small that it does not count even where little light is reflected.
 _RESIDUAL = 1e-10
 
@@ -163,6 +166,7 @@ def solve(
     tolerance: float = 0.01,
     method: str = "auto",
     *,
+    lights: Light | Iterable[Light] = (),
     order: int = 1,
     refine: bool = True,
     seed: int = 0,
@@ -184,6 +188,9 @@ def solve(
             for. Its ``.elements`` are the adaptive mesh with its shadows: the tolerance holds on them as a whole, too,
             so that it costs more than patch averages would where patches are coarse. ``"auto"`` is ``"rays"``, which
             reach the same true error sooner in most scenes (``radiosity bench`` compares them).
+        lights: light that no patch emits: :class:`Sun`, :class:`Sky`, :class:`PointLight`, :class:`SpotLight`, one or
+            several; in scenes without mirrors and glass, and not for ``"hierarchical"``. ``irradiance`` then holds H0 + F B with what they bring, and
+            the tolerance what their shadows do inside a patch.
         order: of the radiosity on a patch that rays find: 1, linear, or 0, constant. No other method looks at it.
         refine: whether rays may follow light below the patches, point by point or on smaller patches, where these are
             too coarse for the tolerance. Patch averages are reported in any case. ``"dense"`` never does,
@@ -199,7 +206,7 @@ def solve(
             ``"hierarchical"`` raises it when not even the patches fit, and else stops where memory ends and says so.
 
     Warns:
-        UserWarning: the scene has no emission; its glass is nothing that light can be followed through (as
+        UserWarning: the scene has neither emission nor lights; its glass is nothing that light can be followed through (as
             :meth:`Scene.report` has it); or the tolerance was not met, and ``.error_estimate`` says what was.
 
     Sources:
@@ -208,17 +215,20 @@ def solve(
         (hierarchical). The estimates are described in the crate's module ``accuracy``.
     """
     _check(scene, tolerance, method, order)
-    if not scene.emission.any():
+    lit = lights_of(lights, scene.bands)
+    if lit and method == "hierarchical":
+        raise ValueError("method 'hierarchical' takes no lights; use 'rays' or 'dense'")
+    if not (scene.emission.any() or (lit and spectra(lit).any())):
         warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
-    distinct, bands = _distinct_bands(scene)
+    distinct, lit_distinct, bands = _distinct_bands(scene, lit)
     if method == "hierarchical":
         solution = _solve_hierarchical(distinct, tolerance, seed, threads, progress)
     elif method == "dense":
-        solution = _solve_dense(distinct, tolerance, seed, threads, progress)
+        solution = _solve_dense(distinct, lit_distinct, tolerance, seed, threads, progress)
     else:
         for hint in glass_hints(scene, lambda patches: listed(patches, scene.names)):
             warnings.warn(hint, UserWarning, stacklevel=2)
-        solution = _solve_rays(distinct, tolerance, order, refine, seed, threads, progress)
+        solution = _solve_rays(distinct, lit_distinct, tolerance, order, refine, seed, threads, progress)
     if solution.error_estimate > tolerance:
         warnings.warn(
             f"the error is about {solution.error_estimate:.2g}, above the tolerance {tolerance:g}: "
@@ -226,7 +236,7 @@ def solve(
             UserWarning,
             stacklevel=2,
         )
-    return solution if distinct is scene else _in_all_bands(solution, scene, bands)
+    return solution if distinct is scene else _in_all_bands(solution, scene, lit, bands)
 
 
 def _reason(report: Report) -> str:
@@ -245,6 +255,7 @@ def forecast(
     scene: Scene,
     tolerance: float = 0.01,
     *,
+    lights: Light | Iterable[Light] = (),
     order: int = 1,
     refine: bool = True,
     seed: int = 0,
@@ -262,10 +273,11 @@ def forecast(
         ValueError, MemoryError: as :func:`solve`.
     """
     _check(scene, tolerance, "rays", order)
-    distinct, _ = _distinct_bands(scene)
+    distinct, lit, _ = _distinct_bands(scene, lights_of(lights, scene.bands))
     with reporter(progress, "forecast") as report:
         seconds, nbytes = _core.forecast_scene(
             distinct._core,
+            core_lights(lit, distinct.bands),
             float(tolerance),
             order == 1,
             bool(refine),
@@ -291,17 +303,18 @@ def _check(scene: Scene, tolerance: float, method: str, order: int) -> None:
         raise ValueError(f"order {order!r} is neither 0 (constant on a patch) nor 1 (linear)")
 
 
-def _distinct_bands(scene: Scene) -> tuple[Scene, IntArray]:
-    """A scene in which no two bands are equal, and for every band of ``scene`` its number there."""
-    columns = np.vstack([scene.reflectance, scene.emission])
+def _distinct_bands(scene: Scene, lights: tuple[Light, ...]) -> tuple[Scene, tuple[Light, ...], IntArray]:
+    """Scene and lights in which no two bands are equal, and for every band of ``scene`` its number there."""
+    columns = np.vstack([scene.reflectance, scene.emission, *([spectra(lights)] if lights else [])])
     _, first, inverse = np.unique(columns, axis=1, return_index=True, return_inverse=True)
     bands = np.asarray(inverse, np.int64).reshape(-1)
     if len(first) == scene.bands:
-        return scene, np.arange(scene.bands)
-    return scene.with_materials(scene.reflectance[:, first], scene.emission[:, first]), bands
+        return scene, lights, np.arange(scene.bands)
+    chosen = scene.with_materials(scene.reflectance[:, first], scene.emission[:, first])
+    return chosen, in_chosen_bands(lights, first), bands
 
 
-def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution:
+def _in_all_bands(solution: Solution, scene: Scene, lights: tuple[Light, ...], bands: IntArray) -> Solution:
     """The solution of distinct bands as that of a scene that has some of them more than once."""
     report, audit = solution.report, solution.report.audit
     if audit is not None:
@@ -311,7 +324,7 @@ def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution
     if elements is not None and elements.scene is not None:
         parent = elements.scene.parent
         fine = elements.scene.with_materials(scene.reflectance[parent], scene.emission[parent])
-        elements = _in_all_bands(elements, fine, bands)
+        elements = _in_all_bands(elements, fine, lights, bands)
     return dataclasses.replace(
         solution,
         radiosity=read_only(solution.radiosity[:, bands]),
@@ -321,11 +334,13 @@ def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution
         report=dataclasses.replace(report, bands=scene.bands, audit=audit),
         scene=scene,
         elements=elements,
+        lights=lights,
     )
 
 
 def _solve_rays(
     scene: Scene,
+    lights: tuple[Light, ...],
     tolerance: float,
     order: int,
     refine: bool,
@@ -336,6 +351,7 @@ def _solve_rays(
     with reporter(progress, "rays") as report:
         result = _core.solve_scene(
             scene._core,
+            core_lights(lights, scene.bands),
             float(tolerance),
             order == 1,
             bool(refine),
@@ -368,6 +384,7 @@ def _solve_rays(
             discretisation_error=result["discretisation_error"],
         ),
         scene=scene,
+        lights=lights,
     )
 
 
@@ -421,8 +438,11 @@ def _on_links(
     )
 
 
-def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None, progress: Progress) -> Solution:
+def _solve_dense(
+    scene: Scene, lights: tuple[Light, ...], tolerance: float, seed: int, threads: int | None, progress: Progress
+) -> Solution:
     row_tolerance = _FIRST_ROW_TOLERANCE * tolerance
+    straight, emitting = _first_light(scene, lights, tolerance, seed, threads, progress)
     seconds = {"form factors": 0.0, "solve": 0.0}
     segments = 0
     for attempt in range(_ATTEMPTS):
@@ -431,7 +451,7 @@ def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None,
         seconds["form factors"] += perf_counter() - start
         segments += F.segments
         solution = solve_system(
-            F, scene.emission, scene.reflectance, "gmres", _RESIDUAL, threads=threads, progress=progress
+            F, emitting.emission, scene.reflectance, "gmres", _RESIDUAL, threads=threads, progress=progress
         )
         seconds["solve"] += solution.report.seconds["solve"]
         reached = solution.error_estimate / (_SAMPLING_SHARE * tolerance)
@@ -439,10 +459,66 @@ def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None,
             break
         row_tolerance /= max(1.25 * reached, 2.0)
     on_patches = solution.error_estimate
+    if lights:
+        on_patches *= _share_of_bounces(scene, emitting, solution)
+        audit = solution.report.audit
+        assert audit is not None  # a scene has areas
+        solution = dataclasses.replace(
+            solution,
+            irradiance=read_only(straight + solution.irradiance),
+            report=dataclasses.replace(solution.report, audit=_audit_of_all(audit, scene, straight)),
+            scene=scene,
+            lights=lights,
+        )
+    report = dataclasses.replace(solution.report, seconds=seconds, segments=segments)
+    return _assessed(
+        dataclasses.replace(solution, report=report), on_patches, tolerance, seed, threads, progress
+    )
+
+
+def _first_light(
+    scene: Scene, lights: tuple[Light, ...], tolerance: float, seed: int, threads: int | None, progress: Progress
+) -> tuple[FloatArray, Scene]:
+    """H0, and the scene with what it reflects of it among its emission: E + rho H0."""
+    if not lights:
+        return np.zeros_like(scene.emission), scene
+    with warnings.catch_warnings():
+        # What is not met is found when the solution is assessed.
+        warnings.simplefilter("ignore", UserWarning)
+        straight, _ = direct_irradiance(
+            scene, lights, _STRAIGHT_SHARE * tolerance, seed=seed, threads=threads, progress=progress
+        )
+    emission = scene.emission + scene.reflectance * straight
+    return straight, scene.with_materials(scene.reflectance, emission)
+
+
+def _audit_of_all(audit: EnergyAudit, scene: Scene, straight: FloatArray) -> EnergyAudit:
+    """The audit with what is absorbed of H0 before it has bounced."""
+    absorbed = scene.areas @ ((1.0 - scene.reflectance) * straight)
+    return dataclasses.replace(audit, emitted=audit.emitted + absorbed, absorbed=audit.absorbed + absorbed)
+
+
+def _share_of_bounces(scene: Scene, emitting: Scene, solution: Solution) -> float:
+    """What an error relative to B - E - rho H0 is relative to B - E: the largest ratio of the bands."""
+
+    def size(values: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(scene.areas @ values**2))
+
+    bounced, reflected = size(solution.radiosity - emitting.emission), size(solution.radiosity - scene.emission)
+    return float(np.max(np.divide(bounced, reflected, out=np.zeros_like(bounced), where=reflected > 0.0)))
+
+
+def _assessed(
+    solution: Solution, on_patches: float, tolerance: float, seed: int, threads: int | None, progress: Progress
+) -> Solution:
+    """A solution with its true error: what is known of it on the patches, and what is found by rays."""
+    scene = solution.scene
+    assert scene is not None
     start = perf_counter()
     with reporter(progress, "discretisation") as report:
         error, rays = _core.assess(
             scene._core,
+            core_lights(solution.lights, scene.bands),
             np.ascontiguousarray(solution.irradiance),
             float(tolerance),
             whole_number("seed", seed, 0, 2**64 - 1),
@@ -450,15 +526,13 @@ def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None,
             thread_count(threads),
             report,
         )
-    seconds["assess"] = perf_counter() - start
     discretisation = math.sqrt(max(error**2 - on_patches**2, 0.0))
     return dataclasses.replace(
         solution,
         error_estimate=math.hypot(on_patches, discretisation),
         report=dataclasses.replace(
             solution.report,
-            seconds=seconds,
-            segments=segments,
+            seconds=solution.report.seconds | {"assess": perf_counter() - start},
             rays=rays,
             sampling_error=on_patches,
             discretisation_error=discretisation,

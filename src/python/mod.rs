@@ -5,6 +5,7 @@
 mod accuracy;
 mod assembly;
 mod convert;
+mod direct;
 mod error;
 mod form_factor;
 mod hierarchy;
@@ -31,6 +32,8 @@ mod _core {
     use super::accuracy::{assess, forecast_scene, solve_scene};
     #[pymodule_export]
     use super::assembly::FormFactors;
+    #[pymodule_export]
+    use super::direct::{Lights, direct_irradiance, sky_coefficients};
     #[pymodule_export]
     use super::form_factor::{form_factor, pair_form_factors};
     #[pymodule_export]

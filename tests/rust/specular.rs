@@ -7,7 +7,7 @@ use radiosity::accuracy::{Options, solve};
 use radiosity::assembly::Order;
 
 use radiosity::direct::patches::Direct;
-use radiosity::direct::{Lamps, SCRAMBLES, Surroundings};
+use radiosity::direct::{Lamps, Lights, SCRAMBLES, Surroundings};
 use radiosity::geometry::Vec3;
 use radiosity::scene::{Description, Material, Scene, Sides};
 use radiosity::visibility::specular::{End, branches, follow};
@@ -188,7 +188,8 @@ fn beside_a_mirror(far: bool) -> (Scene, usize) {
 
 fn direct_irradiance(scene: &Scene, n: usize, segments: u32) -> (Vec<f64>, usize) {
     let (lamps, tree, blockers) = (Lamps::of_scene(scene).unwrap(), Bvh::of_scene(scene), Bvh::of_blockers(scene));
-    let surroundings = Surroundings { scene, lamps: &lamps, tree: &tree, blockers: &blockers };
+    let none = Lights::default();
+    let surroundings = Surroundings { scene, lamps: &lamps, lights: &none, tree: &tree, blockers: &blockers };
     let mut direct = Direct::new(surroundings, 1e-8, 1, 4, &Progress::default()).unwrap();
     direct.sample(|_| segments, &Progress::default()).unwrap();
     let irradiance = |i: usize| {
