@@ -329,7 +329,7 @@ def lights_of(lights: Any, bands: int) -> tuple[Light, ...]:
         width = strength(light).shape[-1]
         if width not in (1, bands):
             raise ValueError(f"light {k}: its {_STRENGTHS[type(light)]} has {width} bands, and the scene has {bands}")
-    return tuple(_with_strength(light, _in_bands(strength(light), bands)) for light in known)
+    return tuple(with_strength(light, _in_bands(strength(light), bands)) for light in known)
 
 
 def strength(light: Light) -> FloatArray:
@@ -345,7 +345,7 @@ def spectra(lights: tuple[Light, ...]) -> FloatArray:
 
 def in_chosen_bands(lights: tuple[Light, ...], bands: Any) -> tuple[Light, ...]:
     """The same lights with some of their bands."""
-    return tuple(_with_strength(light, strength(light)[..., bands]) for light in lights)
+    return tuple(with_strength(light, strength(light)[..., bands]) for light in lights)
 
 
 def core_lights(lights: tuple[Light, ...], bands: int) -> _core.Lights:
@@ -377,7 +377,8 @@ def _in_bands(values: FloatArray, bands: int) -> FloatArray:
     return np.ascontiguousarray(np.broadcast_to(values, (*values.shape[:-1], bands)))
 
 
-def _with_strength(light: Light, values: FloatArray) -> Light:
+def with_strength(light: Light, values: FloatArray) -> Light:
+    """The same light with another strength."""
     changed: dict[str, Any] = {_STRENGTHS[type(light)]: values}
     return dataclasses.replace(light, **changed)
 

@@ -163,7 +163,7 @@ fn a_furnace_with_mirrors_and_glass_is_a_furnace() {
         _ => Material::Mirror(1.0),
     };
     let scene = scene(&mesh, material, |_| 0.6, |_| 1.0);
-    let outcome = solve(&scene, &options(0.05), &Progress::default()).unwrap();
+    let outcome = solve(&scene, &Lights::default(), &options(0.05), &Progress::default()).unwrap();
     // Every ray arrives at the same radiance: rounding only.
     outcome.radiosity[..n].iter().for_each(|b| assert_close(*b, 2.5, 1e-12));
     assert!(outcome.radiosity[n..].iter().all(|b| *b == 0.0));
