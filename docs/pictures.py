@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/viewing.md, docs/two_pass.md, docs/sky.md and docs/index.md: `python docs/pictures.py [name ...]`."""
+"""Draws the pictures of docs/viewing.md, two_pass.md, sky.md and index.md: `python docs/pictures.py [name ...]`."""
 
 import sys
 from pathlib import Path
@@ -68,7 +68,7 @@ def two_pass() -> None:
 
 def sky() -> None:
     scene = rad.scenes.city(4.0)
-    lights = [rad.Sun((0.5, -0.6, 0.6), (700, 650, 560)), rad.Sky((60, 70, 90), "overcast")]
+    lights = [rad.Sun((-0.8, -0.2, 0.55), (700, 650, 560)), rad.Sky((60, 70, 90), "overcast")]
     solution = timed("city, solve to 2 %", lambda: rad.solve(scene, 0.02, lights=lights, progress=False))
     picture("sky", solution, rad.scenes.city_view(), (800, 450), 0.02)
 

@@ -320,7 +320,7 @@ def lights_of(lights: Any, bands: int) -> tuple[Light, ...]:
     if isinstance(lights, tuple(_STRENGTHS)):
         lights = (lights,)
     try:
-        known = tuple(lights)
+        known: tuple[Any, ...] = tuple(lights)
     except TypeError:
         raise TypeError(f"lights must be lights, not {type(lights).__name__}") from None
     for k, light in enumerate(known):

@@ -93,8 +93,8 @@ def render(
         shading: ``"flat"``, one radiosity a patch as it was solved; ``"smooth"``, the irradiance interpolated between
             the corners of patches that form one surface, so that neither lamps nor paints leak over their borders;
             ``"gather"``, the light that arrives at every pixel (final gather): straight from the lamps and from the
-            solution's ``lights``, with sharp and soft shadows as they are, and by rays that carry what the solution says of where they end. The patches are
-            no longer seen, and a coarse solution makes a good picture.
+            solution's ``lights``, with sharp and soft shadows as they are, and by rays that carry what the solution
+            says of where they end. The patches are no longer seen, and a coarse solution makes a good picture.
         tolerance: of ``"gather"``: relative error from sampling, RMS over the pixels in which no emitter is seen, the
             worst band; in (0, 1). What the solution is wrong by comes on top of it.
         seed: of the quasi-random points of ``"gather"``.

@@ -189,8 +189,8 @@ def solve(
             so that it costs more than patch averages would where patches are coarse. ``"auto"`` is ``"rays"``, which
             reach the same true error sooner in most scenes (``radiosity bench`` compares them).
         lights: light that no patch emits: :class:`Sun`, :class:`Sky`, :class:`PointLight`, :class:`SpotLight`, one or
-            several; in scenes without mirrors and glass, and not for ``"hierarchical"``. ``irradiance`` is then H0 + F B
-            with what they bring, H0, and the tolerance counts what their shadows do inside a patch.
+            several; in scenes without mirrors and glass, and not for ``"hierarchical"``. ``irradiance`` is then
+            H0 + F B with what they bring, H0, and the tolerance counts what their shadows do inside a patch.
         order: of the radiosity on a patch that rays find: 1, linear, or 0, constant. No other method looks at it.
         refine: whether rays may follow light below the patches, point by point or on smaller patches, where these are
             too coarse for the tolerance. Patch averages are reported in any case. ``"dense"`` never does,
@@ -207,7 +207,8 @@ def solve(
 
     Warns:
         UserWarning: there is neither emission nor light; the scene's glass is nothing that light can be followed
-            through (as :meth:`Scene.report` has it); or the tolerance was not met, and ``.error_estimate`` says what was.
+            through (as :meth:`Scene.report` has it); or the tolerance was not met, and ``.error_estimate`` says what
+            was.
 
     Sources:
         Keller, "Quasi-Monte Carlo radiosity" 1996; Zatz 1993 (linear radiosity on a patch); Heinrich 2001 (corrections
@@ -471,9 +472,7 @@ def _solve_dense(
             lights=lights,
         )
     report = dataclasses.replace(solution.report, seconds=seconds, segments=segments)
-    return _assessed(
-        dataclasses.replace(solution, report=report), on_patches, tolerance, seed, threads, progress
-    )
+    return _assessed(dataclasses.replace(solution, report=report), on_patches, tolerance, seed, threads, progress)
 
 
 def _first_light(

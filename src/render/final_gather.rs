@@ -3,7 +3,7 @@
 //!
 //!   L = (E + rho (H_direct + H_indirect)) / pi
 //!
-//! H_direct is what the lamps send there. A tile of the image knows from earlier segments how much c_l of each lamp is seen; a point
+//! H_direct is what lamps, and lights that are no patches ([`crate::direct::lights`]), send there. A tile of the image knows from earlier segments how much c_l of each lamp is seen; a point
 //! asks one lamp more, with probability p_l, at a random place z with weight w ([`crate::direct::lamp`]):
 //!
 //!   H_direct ~ sum over l of c_l E_l F_l  +  E_l w / p_l (V - c_l),    mean over V:  sum over l of E_l integral of V K
@@ -90,11 +90,12 @@ const MOST_PASSES: usize = 1 << 14;
 
 /// Gathers light for a picture, pass by pass: `observe(pixels, error estimate)` after each.
 ///
-/// `irradiance` is H of the solution, n x b; `tree` must hold all patches of the scene.
+/// `irradiance` is H of the solution, n x b, under these `lights`; `tree` must hold all patches of the scene.
 ///
 /// # Errors
 /// [`Error::Invalid`] for options out of range, or a camera that sees nothing or only backs; [`Error::Memory`];
 /// [`Error::Interrupted`], and those of `observe`.
+#[expect(clippy::too_many_arguments, reason = "what is shown, from where, how well, and who is told")]
 pub fn gather(
     scene: &Scene,
     tree: &Bvh,

@@ -148,7 +148,7 @@ def test_lights_are_saved(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "make, message",
+    ("make", "message"),
     [
         (lambda: rad.Sun((0, 0, 0), 1.0), "no direction"),
         (lambda: rad.Sun((0, 0, 1), -1.0), "sun irradiance -1 is outside"),

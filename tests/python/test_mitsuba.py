@@ -591,7 +591,7 @@ def test_lights_agree_with_the_path_tracer(lights):
     weights = scene.areas[:, None]
     pooled = (weights * (traced - solution.radiosity)).sum(axis=0)
     assert np.abs(pooled / np.sqrt(((weights * both) ** 2).sum(axis=0))).max() < 4.5
-    # And the RMS of the difference is that of the noise and of the tolerance, each 4.5 deviations of some tens of patches.
+    # And the RMS of the difference is that of the noise, with 4.5 deviations of its own, and of the tolerance.
     off, noise = (np.sqrt((weights * values**2).sum(axis=0)) for values in (traced - solution.radiosity, both))
     size = np.sqrt((weights * traced**2).sum(axis=0))
     assert (off < (1.0 + 4.5 / np.sqrt(2 * scene.n_patches)) * noise + 2 * 0.003 * size).all()

@@ -1,4 +1,4 @@
-"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters, mirrors and glass, suns, skies, points and spots."""
+"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters, mirrors and glass, and lights that are no patches."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ def to_mitsuba(scene: Scene, lights: Light | Iterable[Light] = ()) -> Any:
     Raises:
         ImportError: Mitsuba is not installed.
         TypeError: `lights` holds something else.
-        ValueError: the scene has neither one band nor three, there is more than one sky, or the Mitsuba variant that is set cannot be used.
+        ValueError: the scene has neither one band nor three, there is more than one sky, or the Mitsuba variant that is
+            set cannot be used.
 
     """
     if scene.bands not in (1, 3):
@@ -142,7 +143,7 @@ def _rgb(values: FloatArray) -> dict[str, Any]:
 
 
 def _sky(mi: Any, sky: Sky, unit: float) -> dict[str, Any]:
-    """Return a `constant` or an `envmap`, whose own zenith is +y and whose azimuth 0 is -z, clockwise seen from above."""
+    """Return a `constant` or an `envmap`, whose own zenith is +y and whose azimuth 0 is -z, clockwise from above."""
     if sky.distribution == "constant":
         return {"type": "constant", "radiance": _rgb(sky.radiance / unit)}
     # Rows of pixels lie at the polar angles pi r / (R - 1), columns in the middle of theirs.

@@ -26,8 +26,8 @@ _BUILDINGS = (
 def crater(depth: float = 0.2, rings: int = 12, reflectance: Any = 0.1) -> Scene:
     """Build a bowl-shaped crater of diameter 1 m with its rim at z = 0: a part of a sphere, open to the sky.
 
-    On the inside of a sphere of radius R every form factor is A_j / (4 pi R^2), so what is scattered arrives evenly. Under
-    a sun of irradiance E at an elevation e that is, in light and shadow alike,
+    On the inside of a sphere of radius R every form factor is A_j / (4 pi R^2), so what is scattered arrives evenly.
+    Under a sun of irradiance E at an elevation e that is, in light and shadow alike,
 
         F B = E sin e  rho f (1 - f) / (1 - rho f),    f = depth / (2 R),
 
@@ -62,7 +62,9 @@ def crater(depth: float = 0.2, rings: int = 12, reflectance: Any = 0.1) -> Scene
         for sector in range(6):
             for k in range(ring):
                 outer = [first[ring] + (sector * ring + k + step) % (6 * ring) for step in (0, 1)]
-                inner = [first[ring - 1] + (sector * (ring - 1) + k + step) % max(6 * (ring - 1), 1) for step in (0, -1)]
+                inner = [
+                    first[ring - 1] + (sector * (ring - 1) + k + step) % max(6 * (ring - 1), 1) for step in (0, -1)
+                ]
                 faces.append((inner[0], outer[0], outer[1]))
                 if k > 0:
                     faces.append((inner[1], outer[0], inner[0]))
