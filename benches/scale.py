@@ -6,13 +6,7 @@ system time of all threads, divided by two: what two cores that do nothing else 
 
 from __future__ import annotations
 
-import argparse
 import math
-import multiprocessing
-import resource
-import time
-from collections.abc import Callable
-from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np

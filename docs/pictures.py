@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/viewing.md, docs/two_pass.md and docs/index.md: `python docs/pictures.py [name ...]`."""
+"""Draws the pictures of docs/viewing.md, two_pass.md, sky.md and index.md: `python docs/pictures.py [name ...]`."""
 
 import sys
 from pathlib import Path
@@ -66,6 +66,13 @@ def two_pass() -> None:
     figure.savefig(FOLDER / "two_pass.png", dpi=100)
 
 
+def sky() -> None:
+    scene = rad.scenes.city(4.0)
+    lights = [rad.Sun((-0.8, -0.2, 0.55), (700, 650, 560)), rad.Sky((60, 70, 90), "overcast")]
+    solution = timed("city, solve to 2 %", lambda: rad.solve(scene, 0.02, lights=lights, progress=False))
+    picture("sky", solution, rad.scenes.city_view(), (800, 450), 0.02)
+
+
 def picture(name, solution, view, size, noise) -> None:
     def draw():
         return rad.render(solution, rad.Camera(**view), *size, "gather", tolerance=noise, progress=False)
@@ -82,6 +89,6 @@ def timed(what, work):
 
 
 if __name__ == "__main__":
-    drawings = {"theatre": theatre, "gallery": gallery, "shadings": shadings, "two_pass": two_pass}
+    drawings = {"theatre": theatre, "gallery": gallery, "shadings": shadings, "two_pass": two_pass, "sky": sky}
     for name in sys.argv[1:] or drawings:
         drawings[name]()

@@ -20,6 +20,7 @@ from . import distributed, gradients, mitsuba, plot, scenes
 from .bounces import bounces
 from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
 from .instant import VirtualLights, instant, virtual_lights
+from .lights import PointLight, Sky, SpotLight, Sun, direct_irradiance, sky_coefficients
 from .load import load
 from .render import Camera, render, save_image, two_pass
 from .save import load_solution, save
@@ -38,13 +39,18 @@ __all__ = [
     "Forecast",
     "FormFactors",
     "Gradient",
+    "PointLight",
     "Scene",
+    "Sky",
     "Solution",
     "Solutions",
+    "SpotLight",
+    "Sun",
     "View",
     "VirtualLights",
     "ambient",
     "bounces",
+    "direct_irradiance",
     "distributed",
     "forecast",
     "form_factor",
@@ -61,6 +67,7 @@ __all__ = [
     "save_image",
     "scenes",
     "show",
+    "sky_coefficients",
     "solve",
     "solve_system",
     "transfer",

@@ -7,10 +7,12 @@ import numpy.typing as npt
 __all__ = [
     "Block",
     "FormFactors",
+    "Lights",
     "Scene",
     "ambient",
     "assess",
     "corner_irradiance",
+    "direct_irradiance",
     "forecast_scene",
     "form_factor",
     "gather",
@@ -19,6 +21,7 @@ __all__ = [
     "pair_form_factors",
     "places",
     "render",
+    "sky_coefficients",
     "solve",
     "solve_hierarchical",
     "solve_scene",
@@ -144,6 +147,16 @@ class Block:
     def sampling_error(self, x: _Floats, draw: int, before: int, threads: int | None) -> _Floats: ...
 
 @final
+class Lights:
+    def __new__(
+        cls,
+        bands: int,
+        suns: list[tuple[_Point, list[float]]],
+        points: list[tuple[_Point, list[float], tuple[_Point, float, float] | None]],
+        skies: list[tuple[str, int, int, _Point, _Point, _Floats]],
+    ) -> Lights: ...
+
+@final
 class FormFactors:
     @staticmethod
     def dense(
@@ -232,6 +245,7 @@ def importance(
 ) -> _Floats: ...
 def solve_scene(
     scene: Scene,
+    lights: Lights,
     tolerance: float,
     linear: bool,
     refine: bool,
@@ -240,8 +254,30 @@ def solve_scene(
     threads: int | None,
     progress: _Report | None,
 ) -> _SolvedScene: ...
+def direct_irradiance(
+    scene: Scene,
+    lights: Lights,
+    tolerance: float,
+    seed: int,
+    memory: int,
+    threads: int | None,
+    progress: _Report | None,
+) -> tuple[_Floats, _Floats, float]: ...
+def sky_coefficients(
+    scene: Scene,
+    rows: int,
+    columns: int,
+    up: _Point,
+    north: _Point,
+    rays: int,
+    seed: int,
+    memory: int,
+    threads: int | None,
+    progress: _Report | None,
+) -> _Floats: ...
 def forecast_scene(
     scene: Scene,
+    lights: Lights,
     tolerance: float,
     linear: bool,
     refine: bool,
@@ -252,6 +288,7 @@ def forecast_scene(
 ) -> tuple[float, int]: ...
 def assess(
     scene: Scene,
+    lights: Lights,
     irradiance: _Floats,
     tolerance: float,
     seed: int,
@@ -263,6 +300,7 @@ def ambient(areas: _Floats, unshot: _Floats, reflectance: _Floats) -> _Floats: .
 def corner_irradiance(scene: Scene, irradiance: _Floats, threads: int | None) -> _Floats: ...
 def gather(
     scene: Scene,
+    lights: Lights,
     irradiance: _Floats,
     viewpoint: _Viewpoint,
     width: int,

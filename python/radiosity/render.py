@@ -16,6 +16,7 @@ import numpy.typing as npt
 from . import _core
 from .arrays import FloatArray, real_array, real_number, shaped, thread_count, whole_number
 from .files import replacing
+from .lights import core_lights
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .solution import Solution
@@ -91,9 +92,9 @@ def render(
         height: rows.
         shading: ``"flat"``, one radiosity a patch as it was solved; ``"smooth"``, the irradiance interpolated between
             the corners of patches that form one surface, so that neither lamps nor paints leak over their borders;
-            ``"gather"``, the light that arrives at every pixel (final gather): straight from the lamps, with sharp and
-            soft shadows as they are, and by rays that carry what the solution says of where they end. The patches are
-            no longer seen, and a coarse solution makes a good picture.
+            ``"gather"``, the light that arrives at every pixel (final gather): straight from the lamps and from the
+            solution's ``lights``, with sharp and soft shadows as they are, and by rays that carry what the solution
+            says of where they end. The patches are no longer seen, and a coarse solution makes a good picture.
         tolerance: of ``"gather"``: relative error from sampling, RMS over the pixels in which no emitter is seen, the
             worst band; in (0, 1). What the solution is wrong by comes on top of it.
         seed: of the quasi-random points of ``"gather"``.
@@ -238,6 +239,7 @@ def _gathered(
     with reporter(progress, "render") as report:
         image, reached, passes = _core.gather(
             shown.scene._core,
+            core_lights(shown.lights, shown.scene.bands),
             shown.irradiance,
             view,
             width,

@@ -15,6 +15,7 @@ import numpy as np
 from .arrays import FloatArray, read_only, real_number, whole_number
 from .files import replacing
 from .gltf import glb
+from .lights import Light, PointLight, Sky, SpotLight, Sun, lights_of
 from .render import exposure_of, to_srgb
 from .scene import Scene
 from .solution import EnergyAudit, Report, Solution, Step
@@ -22,7 +23,10 @@ from .solution import EnergyAudit, Report, Solution, Step
 FORMATS = (".npz", ".glb", ".ply", ".vtu", ".vtk")
 # Of the layout of .npz files.
 _VERSION = 1
+# With lights, which earlier versions would leave out in silence.
+_VERSION_WITH_LIGHTS = 2
 _MOST_TEXELS = 16384
+_LIGHTS: dict[str, Any] = {kind.__name__: kind for kind in (Sun, Sky, PointLight, SpotLight)}
 # What JSON makes of the types of a report's fields.
 _KINDS: dict[str, Any] = {
     "str": str,
@@ -124,7 +128,7 @@ def load_solution(path: str | os.PathLike[str]) -> Solution:
     version = contents.get("version")
     if version is None or np.shape(version):
         raise ValueError(f"{path}: no saved solution")
-    if int(version) > _VERSION:
+    if int(version) > _VERSION_WITH_LIGHTS:
         raise ValueError(f"{path}: written by a later version of radiosity (layout {int(version)})")
     count = contents.pop("arrays", None)
     if count is not None and (np.shape(count) or int(count) != len(contents)):
@@ -147,7 +151,7 @@ def _contents(solution: Solution) -> dict[str, Any]:
         if part.name not in ("audit", "bound")
     }
     contents: dict[str, Any] = {
-        "version": np.int64(_VERSION),
+        "version": np.int64(_VERSION_WITH_LIGHTS if solution.lights else _VERSION),
         "radiosity": solution.radiosity,
         "irradiance": solution.irradiance,
         "standard_error": solution.standard_error,
@@ -166,6 +170,10 @@ def _contents(solution: Solution) -> dict[str, Any]:
         if not scene.is_diffuse:
             contents |= {"mirror": scene.mirror, "ior": scene.ior}
         contents["names"] = None if scene.names is None else np.array(scene.names)
+    for k, light in enumerate(solution.lights):
+        fields = {part.name: getattr(light, part.name) for part in dataclasses.fields(light)}
+        contents |= {f"lights/{k}/kind": np.array(type(light).__name__)}
+        contents |= {f"lights/{k}/{name}": np.array(value) for name, value in fields.items()}
     if solution.elements is not None:
         contents |= {f"elements/{name}": value for name, value in _contents(solution.elements).items()}
     return {name: value for name, value in contents.items() if value is not None}
@@ -213,7 +221,20 @@ def _solution_of(contents: Mapping[str, Any]) -> Solution:
         report=Report(**_checked(plain), audit=audit, bound=if_there("bound", bands)),
         scene=scene,
         elements=_solution_of(of_elements) if of_elements else None,
+        lights=lights_of(_lights_in(contents), bands),
     )
+
+
+def _lights_in(contents: Mapping[str, Any]) -> list[Light]:
+    """The lights of a solution, in their order."""
+    lights: list[Light] = []
+    while f"lights/{len(lights)}/kind" in contents:
+        of = f"lights/{len(lights)}/"
+        kind = _LIGHTS[str(contents[of + "kind"])]
+        values = {part.name: contents[of + part.name] for part in dataclasses.fields(kind)}
+        # Words and single numbers are kept as arrays without a shape.
+        lights.append(kind(**{name: value if value.shape else value.item() for name, value in values.items()}))
+    return lights
 
 
 def _checked(plain: dict[str, Any]) -> dict[str, Any]:

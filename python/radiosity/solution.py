@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .arrays import FloatArray
+from .lights import Light
 from .progress import Progress
 from .report import counted
 from .scene import Scene
@@ -37,7 +38,7 @@ class EnergyAudit:
     """
 
     emitted: FloatArray
-    """(b,) sum of A E."""
+    """(b,) sum of A E, and of A H0 where lights that are no patches bring H0."""
     absorbed: FloatArray
     """(b,) sum of A (1 - rho) H over the diffuse patches, and of what falls on mirrors the part 1 - mirror that they do
     not send back. Glass absorbs nothing."""
@@ -168,7 +169,7 @@ class Gradient(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Solution:
-    """A solved radiosity equation B = E + rho H, H = F B."""
+    """A solved radiosity equation B = E + rho H, H = H0 + F B, with H0 straight from :attr:`lights`."""
 
     radiosity: FloatArray
     """(n, b) radiosity B, W/m^2."""
@@ -194,6 +195,8 @@ class Solution:
     elements: Solution | None = None
     """By ``"hierarchical"``: the same on the leaves of the tree of elements, as a mesh without T-junctions, whose
     ``.scene.parent`` names the patch of each face. None for other methods."""
+    lights: tuple[Light, ...] = ()
+    """The lights that are no patches, in the bands of the scene."""
 
     @property
     def as_shown(self) -> Solution:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
+from collections.abc import Iterable
 from time import perf_counter
 
 import numpy as np
@@ -24,6 +25,7 @@ from .arrays import (
 )
 from .form_factors import form_factors_as_reached
 from .glass import glass_hints
+from .lights import Light, core_lights, direct_irradiance, in_chosen_bands, lights_of, spectra
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .report import listed
@@ -39,6 +41,8 @@ _SAMPLING_SHARE = 0.8
 # row: on the reference scenes a row error of 3 tolerances leaves an error of 0.1 to 0.8 tolerances in B - E.
 _FIRST_ROW_TOLERANCE = 3.0
 _ATTEMPTS = 6
+# Share of the tolerance that H0 may use where it is found before the rest: its error adds to the others in squares.
+_STRAIGHT_SHARE = 0.3
 # Of the iteration: relative to E, and so small that it does not count even where little light is reflected.
 _RESIDUAL = 1e-10
 
@@ -48,6 +52,7 @@ def solve(
     tolerance: float = 0.01,
     method: str = "auto",
     *,
+    lights: Light | Iterable[Light] = (),
     order: int = 1,
     refine: bool = True,
     seed: int = 0,
@@ -69,6 +74,9 @@ def solve(
             for. Its ``.elements`` are the adaptive mesh with its shadows: the tolerance holds on them as a whole, too,
             so that it costs more than patch averages would where patches are coarse. ``"auto"`` is ``"rays"``, which
             reach the same true error sooner in most scenes (``radiosity bench`` compares them).
+        lights: light that no patch emits: :class:`Sun`, :class:`Sky`, :class:`PointLight`, :class:`SpotLight`, one or
+            several; in scenes without mirrors and glass, and not for ``"hierarchical"``. ``irradiance`` is then
+            H0 + F B with what they bring, H0, and the tolerance counts what their shadows do inside a patch.
         order: of the radiosity on a patch that rays find: 1, linear, or 0, constant. No other method looks at it.
         refine: whether rays may follow light below the patches, point by point or on smaller patches, where these are
             too coarse for the tolerance. Patch averages are reported in any case. ``"dense"`` never does,
@@ -84,8 +92,9 @@ def solve(
             ``"hierarchical"`` raises it when not even the patches fit, and else stops where memory ends and says so.
 
     Warns:
-        UserWarning: the scene has no emission; its glass is nothing that light can be followed through (as
-            :meth:`Scene.report` has it); or the tolerance was not met, and ``.error_estimate`` says what was.
+        UserWarning: there is neither emission nor light; the scene's glass is nothing that light can be followed
+            through (as :meth:`Scene.report` has it); or the tolerance was not met, and ``.error_estimate`` says what
+            was.
 
     Sources:
         Keller, "Quasi-Monte Carlo radiosity" 1996; Zatz 1993 (linear radiosity on a patch); Heinrich 2001 (corrections
@@ -93,17 +102,20 @@ def solve(
         (hierarchical). The estimates are described in the crate's module ``accuracy``.
     """
     _check(scene, tolerance, method, order)
-    if not scene.emission.any():
+    lit = lights_of(lights, scene.bands)
+    if lit and method == "hierarchical":
+        raise ValueError("method 'hierarchical' takes no lights; use 'rays' or 'dense'")
+    if not (scene.emission.any() or (lit and spectra(lit).any())):
         warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
-    distinct, bands = _distinct_bands(scene)
+    distinct, lit_distinct, bands = _distinct_bands(scene, lit)
     if method == "hierarchical":
         solution = _solve_hierarchical(distinct, tolerance, seed, threads, progress)
     elif method == "dense":
-        solution = _solve_dense(distinct, tolerance, seed, threads, progress)
+        solution = _solve_dense(distinct, lit_distinct, tolerance, seed, threads, progress)
     else:
         for hint in glass_hints(scene, lambda patches: listed(patches, scene.names)):
             warnings.warn(hint, UserWarning, stacklevel=2)
-        solution = _solve_rays(distinct, tolerance, order, refine, seed, threads, progress)
+        solution = _solve_rays(distinct, lit_distinct, tolerance, order, refine, seed, threads, progress)
     if solution.error_estimate > tolerance:
         warnings.warn(
             f"the error is about {solution.error_estimate:.2g}, above the tolerance {tolerance:g}: "
@@ -111,7 +123,7 @@ def solve(
             UserWarning,
             stacklevel=2,
         )
-    return solution if distinct is scene else _in_all_bands(solution, scene, bands)
+    return solution if distinct is scene else _in_all_bands(solution, scene, lit, bands)
 
 
 def _reason(report: Report) -> str:
@@ -130,6 +142,7 @@ def forecast(
     scene: Scene,
     tolerance: float = 0.01,
     *,
+    lights: Light | Iterable[Light] = (),
     order: int = 1,
     refine: bool = True,
     seed: int = 0,
@@ -147,10 +160,11 @@ def forecast(
         ValueError, MemoryError: as :func:`solve`.
     """
     _check(scene, tolerance, "rays", order)
-    distinct, _ = _distinct_bands(scene)
+    distinct, lit, _ = _distinct_bands(scene, lights_of(lights, scene.bands))
     with reporter(progress, "forecast") as report:
         seconds, nbytes = _core.forecast_scene(
             distinct._core,
+            core_lights(lit, distinct.bands),
             float(tolerance),
             order == 1,
             bool(refine),
@@ -176,17 +190,18 @@ def _check(scene: Scene, tolerance: float, method: str, order: int) -> None:
         raise ValueError(f"order {order!r} is neither 0 (constant on a patch) nor 1 (linear)")
 
 
-def _distinct_bands(scene: Scene) -> tuple[Scene, IntArray]:
-    """A scene in which no two bands are equal, and for every band of ``scene`` its number there."""
-    columns = np.vstack([scene.reflectance, scene.emission])
+def _distinct_bands(scene: Scene, lights: tuple[Light, ...]) -> tuple[Scene, tuple[Light, ...], IntArray]:
+    """Scene and lights in which no two bands are equal, and for every band of ``scene`` its number there."""
+    columns = np.vstack([scene.reflectance, scene.emission, *([spectra(lights)] if lights else [])])
     _, first, inverse = np.unique(columns, axis=1, return_index=True, return_inverse=True)
     bands = np.asarray(inverse, np.int64).reshape(-1)
     if len(first) == scene.bands:
-        return scene, np.arange(scene.bands)
-    return scene.with_materials(scene.reflectance[:, first], scene.emission[:, first]), bands
+        return scene, lights, np.arange(scene.bands)
+    chosen = scene.with_materials(scene.reflectance[:, first], scene.emission[:, first])
+    return chosen, in_chosen_bands(lights, first), bands
 
 
-def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution:
+def _in_all_bands(solution: Solution, scene: Scene, lights: tuple[Light, ...], bands: IntArray) -> Solution:
     """The solution of distinct bands as that of a scene that has some of them more than once."""
     report, audit = solution.report, solution.report.audit
     if audit is not None:
@@ -196,7 +211,7 @@ def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution
     if elements is not None and elements.scene is not None:
         parent = elements.scene.parent
         fine = elements.scene.with_materials(scene.reflectance[parent], scene.emission[parent])
-        elements = _in_all_bands(elements, fine, bands)
+        elements = _in_all_bands(elements, fine, lights, bands)
     system = solution.system
     if system is not None:
         system = System(system.operator, scene.emission, scene.reflectance)
@@ -210,11 +225,13 @@ def _in_all_bands(solution: Solution, scene: Scene, bands: IntArray) -> Solution
         report=dataclasses.replace(report, bands=scene.bands, audit=audit),
         scene=scene,
         elements=elements,
+        lights=lights,
     )
 
 
 def _solve_rays(
     scene: Scene,
+    lights: tuple[Light, ...],
     tolerance: float,
     order: int,
     refine: bool,
@@ -225,6 +242,7 @@ def _solve_rays(
     with reporter(progress, "rays") as report:
         result = _core.solve_scene(
             scene._core,
+            core_lights(lights, scene.bands),
             float(tolerance),
             order == 1,
             bool(refine),
@@ -257,6 +275,7 @@ def _solve_rays(
             discretisation_error=result["discretisation_error"],
         ),
         scene=scene,
+        lights=lights,
     )
 
 
@@ -310,8 +329,11 @@ def _on_links(
     )
 
 
-def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None, progress: Progress) -> Solution:
+def _solve_dense(
+    scene: Scene, lights: tuple[Light, ...], tolerance: float, seed: int, threads: int | None, progress: Progress
+) -> Solution:
     row_tolerance = _FIRST_ROW_TOLERANCE * tolerance
+    straight, emitting = _first_light(scene, lights, tolerance, seed, threads, progress)
     seconds = {"form factors": 0.0, "solve": 0.0}
     segments = 0
     for attempt in range(_ATTEMPTS):
@@ -320,7 +342,7 @@ def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None,
         seconds["form factors"] += perf_counter() - start
         segments += F.segments
         solution = solve_system(
-            F, scene.emission, scene.reflectance, "gmres", _RESIDUAL, threads=threads, progress=progress
+            F, emitting.emission, scene.reflectance, "gmres", _RESIDUAL, threads=threads, progress=progress
         )
         seconds["solve"] += solution.report.seconds["solve"]
         reached = solution.error_estimate / (_SAMPLING_SHARE * tolerance)
@@ -328,10 +350,66 @@ def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None,
             break
         row_tolerance /= max(1.25 * reached, 2.0)
     on_patches = solution.error_estimate
+    if lights:
+        on_patches *= _share_of_bounces(scene, emitting, solution)
+        audit = solution.report.audit
+        assert audit is not None  # a scene has areas
+        solution = dataclasses.replace(
+            solution,
+            irradiance=read_only(straight + solution.irradiance),
+            report=dataclasses.replace(solution.report, audit=_audit_of_all(audit, scene, straight)),
+            scene=scene,
+            lights=lights,
+            # Its emission would hold what the old paint reflects of the lights.
+            system=None,
+        )
+    report = dataclasses.replace(solution.report, seconds=seconds, segments=segments)
+    return _assessed(dataclasses.replace(solution, report=report), on_patches, tolerance, seed, threads, progress)
+
+
+def _first_light(
+    scene: Scene, lights: tuple[Light, ...], tolerance: float, seed: int, threads: int | None, progress: Progress
+) -> tuple[FloatArray, Scene]:
+    """H0, and the scene with what it reflects of it among its emission: E + rho H0."""
+    if not lights:
+        return np.zeros_like(scene.emission), scene
+    with warnings.catch_warnings():
+        # What is not met is found when the solution is assessed.
+        warnings.simplefilter("ignore", UserWarning)
+        straight, _ = direct_irradiance(
+            scene, lights, _STRAIGHT_SHARE * tolerance, seed=seed, threads=threads, progress=progress
+        )
+    emission = scene.emission + scene.reflectance * straight
+    return straight, scene.with_materials(scene.reflectance, emission)
+
+
+def _audit_of_all(audit: EnergyAudit, scene: Scene, straight: FloatArray) -> EnergyAudit:
+    """The audit with what is absorbed of H0 before it has bounced."""
+    absorbed = scene.areas @ ((1.0 - scene.reflectance) * straight)
+    return dataclasses.replace(audit, emitted=audit.emitted + absorbed, absorbed=audit.absorbed + absorbed)
+
+
+def _share_of_bounces(scene: Scene, emitting: Scene, solution: Solution) -> float:
+    """What an error relative to B - E - rho H0 is relative to B - E: the largest ratio of the bands."""
+
+    def size(values: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(scene.areas @ values**2))
+
+    bounced, reflected = size(solution.radiosity - emitting.emission), size(solution.radiosity - scene.emission)
+    return float(np.max(np.divide(bounced, reflected, out=np.zeros_like(bounced), where=reflected > 0.0)))
+
+
+def _assessed(
+    solution: Solution, on_patches: float, tolerance: float, seed: int, threads: int | None, progress: Progress
+) -> Solution:
+    """A solution with its true error: what is known of it on the patches, and what is found by rays."""
+    scene = solution.scene
+    assert scene is not None
     start = perf_counter()
     with reporter(progress, "discretisation") as report:
         error, rays = _core.assess(
             scene._core,
+            core_lights(solution.lights, scene.bands),
             np.ascontiguousarray(solution.irradiance),
             float(tolerance),
             whole_number("seed", seed, 0, 2**64 - 1),
@@ -339,15 +417,13 @@ def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None,
             thread_count(threads),
             report,
         )
-    seconds["assess"] = perf_counter() - start
     discretisation = math.sqrt(max(error**2 - on_patches**2, 0.0))
     return dataclasses.replace(
         solution,
         error_estimate=math.hypot(on_patches, discretisation),
         report=dataclasses.replace(
             solution.report,
-            seconds=seconds,
-            segments=segments,
+            seconds=solution.report.seconds | {"assess": perf_counter() - start},
             rays=rays,
             sampling_error=on_patches,
             discretisation_error=discretisation,

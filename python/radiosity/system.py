@@ -170,6 +170,8 @@ class Solutions(Solution):
 
     emission: FloatArray
     """(n, b, k) E, W/m^2."""
+    reflectance: FloatArray
+    """(n, b) rho."""
     residuals: FloatArray
     """(k,) relative residuals, the largest over the bands."""
 
@@ -178,16 +180,14 @@ class Solutions(Solution):
 
     def __getitem__(self, state: int) -> Solution:
         s = range(len(self))[operator_index(state)]
-        if self.system is None:
-            raise ValueError("the form factors of these solutions stayed in the process that has them")
-        (core, scene, *_), rho = self.system.operator, self.system.reflectance
+        scene, rho = self.scene, self.reflectance
         e, b, h = (
             read_only(np.ascontiguousarray(values[:, :, s]))
             for values in (self.emission, self.radiosity, self.irradiance)
         )
         audit = None
-        if scene is not None:
-            areas, row_sums = scene.areas, core.row_sums
+        if scene is not None and self.system is not None:
+            areas, row_sums = scene.areas, self.system.operator.core.row_sums
             audit = EnergyAudit(
                 areas @ e, areas @ ((1.0 - rho) * h), (areas * (1.0 - row_sums)) @ b, areas @ (e + rho * h - b)
             )
@@ -199,7 +199,7 @@ class Solutions(Solution):
             history=(),
             report=dataclasses.replace(self.report, residual=float(self.residuals[s]), audit=audit),
             scene=None if scene is None else scene_with(scene, rho, e),
-            system=System(self.system.operator, e, rho),
+            system=None if self.system is None else System(self.system.operator, e, rho),
         )
 
     def __iter__(self) -> Iterator[Solution]:
@@ -272,7 +272,8 @@ def _solved_states(
         scene=None if scene is None else scene_with(scene, rho, e[:, :, 0]),
         emission=e,
         residuals=read_only(residuals),
-        system=System(operator, e[:, :, 0], rho),
+        system=System(operator, e[:, :, 0], rho) if is_at_hand else None,
+        reflectance=rho,
     )
     if failure is not None:
         raise ConvergenceError(failure, solution)

@@ -13,7 +13,7 @@ use super::stages::Stages;
 use super::transport::{FIRST_SEGMENTS, Ground, Tally, Transport};
 use crate::assembly::Order;
 use crate::assembly::rays::Field;
-use crate::direct::SCRAMBLES;
+use crate::direct::{Lights, SCRAMBLES};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -33,18 +33,24 @@ pub struct Assessment {
     pub rays: u64,
 }
 
-/// Assesses the irradiance of a scene's patches, n x b.
+/// Assesses the irradiance of a scene's patches, n x b, under some lights beside its own.
 ///
 /// # Errors
 /// [`Error::Invalid`] for options or values out of range, [`Error::Memory`], [`Error::Interrupted`].
-pub fn assess(scene: &Scene, irradiance: &[f64], options: &Options, progress: &Progress) -> Result<Assessment> {
-    options.check()?;
+pub fn assess(
+    scene: &Scene,
+    lights: &Lights,
+    irradiance: &[f64],
+    options: &Options,
+    progress: &Progress,
+) -> Result<Assessment> {
+    options.check(scene, lights)?;
     let (n, bands, seed) = (scene.len(), scene.bands(), options.seed);
     if irradiance.len() != n * bands || irradiance.iter().any(|h| !h.is_finite()) {
         return Err(Error::Invalid(format!("irradiance must hold {n} x {bands} finite numbers")));
     }
     refuse_lack_of_memory(n, bands, 0, options)?;
-    let ground = Ground::of_scene(scene)?;
+    let ground = Ground::new(scene, lights)?;
     let mut transport = Transport::new(scene, &ground, 1e-4, seed, progress)?;
     refuse_lack_of_memory(n, bands, transport.direct.nbytes(), options)?;
     let constant = Options { order: Order::Constant, ..*options };
@@ -64,6 +70,8 @@ pub fn assess(scene: &Scene, irradiance: &[f64], options: &Options, progress: &P
         transport.gather(&mut base, Some(&field), |_| sizes[1], progress)?;
         let residuals = measure.residuals(&base);
         transport.probe(&mut probe, &field, residuals, |_| sizes[2], progress)?;
+        // What the segments towards lamps and lights leave is noise of each scramble, too.
+        measure.add_spread_of_direct(&transport.direct);
         measure.follow(&pilot, &probe, options.tolerance, &mut |_: &Step, _: &[f64], _: &[f64]| progress.advance(0))?;
         rays += base.total() + 2 * probe.total();
         let (square, doubt) = measure.distance(irradiance);

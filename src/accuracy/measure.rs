@@ -97,6 +97,19 @@ impl<'a> Measure<'a> {
         &self.base
     }
 
+    /// Adds to the residual of every scramble by how much its own direct light is off that of all, on which the field rests.
+    pub(super) fn add_spread_of_direct(&mut self, direct: &Direct) {
+        let bands = self.bands();
+        for (s, base) in self.base.iter_mut().enumerate() {
+            base.par_chunks_mut(bands).enumerate().for_each(|(i, base)| {
+                let (mut own, mut all) = (vec![0.0; bands], vec![0.0; bands]);
+                direct.irradiance_of_scramble(i, s, &mut own);
+                direct.irradiance(i, &mut all);
+                base.iter_mut().zip(own.iter().zip(all)).for_each(|(base, (own, all))| *base += own - all);
+            });
+        }
+    }
+
     /// The relative residual at which following ends: a residual r becomes A r at most, with A the amplification of light.
     fn end(&self, pilot: &Pilot, tolerance: f64) -> f64 {
         let share = |b: usize| {
@@ -175,7 +188,7 @@ impl<'a> Measure<'a> {
         Ok(())
     }
 
-    /// In a closed scene all that is emitted is absorbed: sum A E = sum A (1 - rho) (D + u), whatever the rays. What bounced is
+    /// In a closed scene all that is emitted is absorbed: sum A (E + H0) = sum A (1 - rho) (D + u), whatever the rays. What bounced is
     /// scaled until this holds, in every scramble for itself: of an error that all patches share, which a white room returns
     /// 1 / (1 - rho) times, nothing is left. So is nothing of it in what is known of the other errors. Only where most is absorbed
     /// after a bounce: in a dark room what is left for the bounced light has the error of the direct light, many times over.
@@ -188,15 +201,25 @@ impl<'a> Measure<'a> {
         let absorbed = |x: &[f64], b: usize| -> f64 {
             areas.iter().enumerate().map(|(i, area)| area * scene.absorptance(i, b) * x[i * bands + b]).sum()
         };
-        let emitted = |b: usize| areas.iter().enumerate().map(|(i, area)| area * scene.emission()[i * bands + b]).sum();
-        let emitted: Vec<f64> = (0..bands).map(emitted).collect();
-        let balances: Vec<bool> = (0..bands).map(|b| absorbed(&self.start, b) >= 0.5 * emitted[b]).collect();
+        // Of patches and lights: E + H0 of every patch, as a scramble has it, or as all have it.
+        let emitted = |s: Option<usize>| {
+            let mut sums = vec![0.0; bands];
+            for (i, area) in areas.iter().enumerate() {
+                let mut sent = scene.emission()[i * bands..][..bands].to_vec();
+                direct.add_lights(i, s, &mut sent);
+                sums.iter_mut().zip(sent).for_each(|(sum, e)| *sum += area * e);
+            }
+            sums
+        };
+        let all = emitted(None);
+        let balances: Vec<bool> = (0..bands).map(|b| absorbed(&self.start, b) >= 0.5 * all[b]).collect();
         let mut mean = vec![0.0; self.start.len()];
         for (s, base) in self.base.iter_mut().enumerate() {
             let mut arriving = vec![0.0; mean.len()];
             let rows = arriving.par_chunks_mut(bands).enumerate();
             rows.for_each(|(i, out)| direct.irradiance_of_scramble(i, s, out));
             base.iter_mut().zip(&self.start).for_each(|(x, start)| *x += start);
+            let emitted = emitted(Some(s));
             for b in 0..bands {
                 let (wanted, found) = (emitted[b] - absorbed(&arriving, b), absorbed(base, b));
                 let scale = if balances[b] && found > 0.0 && wanted > 0.0 { wanted / found } else { 1.0 };
@@ -334,7 +357,7 @@ impl<'a> Measure<'a> {
 
     /// Where the power goes for the irradiance H of the patches of the whole. What leaves the scene is what base rays have found
     /// to: `None` where there were none.
-    pub(super) fn audit(&self, base: &Tally, irradiance: &[f64]) -> Option<Audit> {
+    pub(super) fn audit(&self, base: &Tally, direct: &Direct, irradiance: &[f64]) -> Option<Audit> {
         let (whole, bands) = (self.mesh.whole, self.bands());
         if base.total() == 0 {
             return None;
@@ -342,12 +365,15 @@ impl<'a> Measure<'a> {
         let share = |i: usize| f64::from(base.lost[i]) / base.rays(i) as f64;
         let lost = self.mesh.averaged((0..self.mesh.scene.len()).map(share).collect::<Vec<f64>>(), 1);
         let (emission, rho) = (whole.emission(), whole.reflectance());
+        let mut arriving = vec![0.0; self.start.len()];
+        arriving.chunks_exact_mut(bands).enumerate().for_each(|(i, out)| direct.add_lights(i, None, out));
+        let arriving = self.mesh.averaged(arriving, bands);
         let total = |value: &dyn Fn(usize, usize) -> f64| {
             let sum = |b| whole.areas().iter().enumerate().map(|(i, area)| area * value(i, i * bands + b)).sum();
             (0..bands).map(sum).collect()
         };
         Some(Audit {
-            emitted: total(&|_, k| emission[k]),
+            emitted: total(&|_, k| emission[k] + arriving[k]),
             absorbed: total(&|i, k| whole.absorptance(i, k % bands) * irradiance[k]),
             left: total(&|i, k| (emission[k] + rho[k] * irradiance[k]) * lost[i]),
             unshot: vec![0.0; bands],

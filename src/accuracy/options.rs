@@ -1,7 +1,9 @@
 //! What is asked of a solve.
 
 use crate::assembly::Order;
+use crate::direct::Lights;
 use crate::error::{Error, Result};
+use crate::scene::Scene;
 
 /// What is asked for.
 #[derive(Debug, Clone, Copy)]
@@ -19,10 +21,10 @@ pub struct Options {
 }
 
 impl Options {
-    pub(super) fn check(&self) -> Result<()> {
+    pub(super) fn check(&self, scene: &Scene, lights: &Lights) -> Result<()> {
         if !(self.tolerance > 0.0 && self.tolerance < 1.0) {
             return Err(Error::Invalid(format!("tolerance {} is outside (0, 1)", self.tolerance)));
         }
-        Ok(())
+        if lights.is_empty() { Ok(()) } else { scene.require_diffuse("the light of suns, points and skies") }
     }
 }

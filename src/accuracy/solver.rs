@@ -7,7 +7,7 @@ use super::plan::{Plan, cheapest};
 use super::stages::Stages;
 use super::transport::{FIRST_SEGMENTS, Ground, Tally, Transport};
 use crate::assembly::rays::BYTES_OF_TRIP;
-use crate::direct::SCRAMBLES;
+use crate::direct::{Lights, SCRAMBLES};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -88,12 +88,12 @@ struct Limits {
     growth: f64,
 }
 
-/// Solves a scene.
+/// Solves a scene under some lights beside its own.
 ///
 /// # Errors
 /// [`Error::Invalid`] for options out of range or a scene without finite solution, [`Error::Memory`], [`Error::Interrupted`].
-pub fn solve(scene: &Scene, options: &Options, progress: &Progress) -> Result<Outcome> {
-    let outcome = run(scene, options, &Limits { rounds: ROUNDS, growth: MOST_GROWTH }, progress)?;
+pub fn solve(scene: &Scene, lights: &Lights, options: &Options, progress: &Progress) -> Result<Outcome> {
+    let outcome = run(scene, lights, options, &Limits { rounds: ROUNDS, growth: MOST_GROWTH }, progress)?;
     let bands = scene.bands();
     match outcome.radiosity.iter().position(|b| !b.is_finite()) {
         Some(k) => Err(Error::Invalid(format!(
@@ -111,18 +111,18 @@ pub fn solve(scene: &Scene, options: &Options, progress: &Progress) -> Result<Ou
 ///
 /// # Errors
 /// Those of [`solve`].
-pub fn forecast(scene: &Scene, options: &Options, progress: &Progress) -> Result<Forecast> {
-    let outcome = run(scene, options, &Limits { rounds: FORECAST_ROUNDS, growth: FORECAST_GROWTH }, progress)?;
+pub fn forecast(scene: &Scene, lights: &Lights, options: &Options, progress: &Progress) -> Result<Forecast> {
+    let outcome = run(scene, lights, options, &Limits { rounds: FORECAST_ROUNDS, growth: FORECAST_GROWTH }, progress)?;
     let spent: f64 = outcome.seconds.iter().map(|(_, seconds)| seconds).sum();
     Ok(Forecast { seconds: spent + outcome.missing, bytes: outcome.bytes })
 }
 
-fn run(scene: &Scene, options: &Options, limits: &Limits, progress: &Progress) -> Result<Outcome> {
-    options.check()?;
+fn run(scene: &Scene, lights: &Lights, options: &Options, limits: &Limits, progress: &Progress) -> Result<Outcome> {
+    options.check(scene, lights)?;
     let mut seconds = Stages::default();
     let whole = Mesh { scene, whole: scene, parents: None };
     let mut max_edge = longest_edge(scene);
-    let mut outcome = on_mesh(whole, options, limits, options.refine, &mut seconds, progress)?;
+    let mut outcome = on_mesh(whole, lights, options, limits, options.refine, &mut seconds, progress)?;
     let mut meshes = 0;
     loop {
         if let Some(outcome) = outcome {
@@ -132,7 +132,7 @@ fn run(scene: &Scene, options: &Options, limits: &Limits, progress: &Progress) -
         max_edge *= 0.5;
         let (fine, parents) = scene.subdivide(max_edge, options.memory, progress)?;
         let fine = Mesh { scene: &fine, whole: scene, parents: Some(&parents) };
-        outcome = on_mesh(fine, options, limits, meshes < MESHES, &mut seconds, progress)?;
+        outcome = on_mesh(fine, lights, options, limits, meshes < MESHES, &mut seconds, progress)?;
     }
 }
 
@@ -170,6 +170,7 @@ fn bytes(n: usize, bands: usize, views: u64, options: &Options) -> u64 {
 /// `None` when the patches of the mesh are too coarse, and may be cut.
 fn on_mesh(
     mesh: Mesh,
+    lights: &Lights,
     options: &Options,
     limits: &Limits,
     may_cut: bool,
@@ -179,7 +180,7 @@ fn on_mesh(
     let scene = mesh.scene;
     let (n, bands) = (scene.len(), scene.bands());
     refuse_lack_of_memory(n, bands, 0, options)?;
-    let ground = stages.time("trees", || Ground::of_scene(scene))?;
+    let ground = stages.time("trees", || Ground::new(scene, lights))?;
     let kernels = (0.05 * options.tolerance).clamp(1e-8, 1e-3);
     let mut transport = stages.time("lamps", || Transport::new(scene, &ground, kernels, options.seed, progress))?;
     let bytes = refuse_lack_of_memory(n, bands, transport.direct.nbytes(), options)?;
@@ -257,7 +258,7 @@ fn on_mesh(
             return Ok(Some(Outcome {
                 radiosity: radiosity.collect(),
                 standard_error: error.iter().zip(rho).map(|(error, rho)| rho * error).collect(),
-                audit: measure.audit(&base, &irradiance),
+                audit: measure.audit(&base, direct, &irradiance),
                 irradiance,
                 sampling_error: if is_finite { sampling.sqrt() } else { f64::INFINITY },
                 discretisation_error: discretisation.sqrt(),

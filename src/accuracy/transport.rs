@@ -9,7 +9,7 @@ use crate::assembly::rays::{Field, Row, Sample};
 use crate::assembly::{Order, Trips};
 use crate::direct::lamp::Point;
 use crate::direct::patches::Direct;
-use crate::direct::{Lamps, SCRAMBLES, Surroundings};
+use crate::direct::{Lamps, Lights, SCRAMBLES, Surroundings};
 use crate::error::Result;
 use crate::form_factor::emitter::Emitter;
 use crate::geometry::sampling::{barycentric, cosine_direction, point_in_triangle};
@@ -82,26 +82,29 @@ struct Arrivals {
 }
 
 /// What light starts from and what it meets.
-pub(super) struct Ground {
+pub(super) struct Ground<'a> {
     tree: Bvh,
     blockers: Bvh,
     pub(super) lamps: Lamps,
+    lights: &'a Lights,
 }
 
-impl Ground {
-    pub(super) fn of_scene(scene: &Scene) -> Result<Ground> {
-        Ok(Ground { tree: Bvh::of_scene(scene), blockers: Bvh::of_blockers(scene), lamps: Lamps::of_scene(scene)? })
+impl Ground<'_> {
+    pub(super) fn new<'a>(scene: &Scene, lights: &'a Lights) -> Result<Ground<'a>> {
+        let (tree, blockers, lamps) = (Bvh::of_scene(scene), Bvh::of_blockers(scene), Lamps::of_scene(scene)?);
+        Ok(Ground { tree, blockers, lamps, lights })
     }
 
     fn of<'a>(&'a self, scene: &'a Scene) -> Surroundings<'a> {
-        Surroundings { scene, lamps: &self.lamps, tree: &self.tree, blockers: &self.blockers }
+        let Ground { tree, blockers, lamps, lights } = self;
+        Surroundings { scene, lamps, lights, tree, blockers }
     }
 }
 
 /// Light on its way through a scene.
 pub(super) struct Transport<'a> {
     scene: &'a Scene,
-    ground: &'a Ground,
+    ground: &'a Ground<'a>,
     /// What comes straight from the lamps.
     pub(super) direct: Direct<'a>,
     seed: u64,
@@ -122,7 +125,7 @@ impl<'a> Transport<'a> {
     /// With form factors of the lamps to the relative error `kernels`.
     pub(super) fn new(
         scene: &'a Scene,
-        ground: &'a Ground,
+        ground: &'a Ground<'a>,
         kernels: f64,
         seed: u64,
         progress: &Progress,
@@ -173,7 +176,7 @@ impl<'a> Transport<'a> {
     }
 
     /// out_kb = what leaves the point of arrival k towards where the ray came from, of light that has come straight from the
-    /// lamps, and of emitters that no lamp stands for: rho H_direct + E. Returns the segments cast.
+    /// lamps and lights, and of emitters that no lamp stands for: rho H_direct + E. Returns the segments cast.
     fn first_light(&self, samples: &[Sample], arrivals: &[Arrival], lamp: usize, out: &mut [f64]) -> usize {
         let bands = self.bands();
         let points: Vec<Point> = arrivals.iter().map(|arrival| arrival.point).collect();
@@ -182,7 +185,9 @@ impl<'a> Transport<'a> {
             [all[lamp], all[lamp + 1]]
         };
         let in_view = |i: u32, l: usize| self.direct.in_view(i, l);
-        let cast = self.ground.lamps.light(&points, &self.ground.blockers, numbers, in_view, out);
+        let mut cast = self.ground.lamps.light(&points, &self.ground.blockers, numbers, in_view, out);
+        // The same numbers serve both: their light is added up.
+        cast += self.ground.lights.light(&points, &self.ground.tree, numbers, out);
         for (arrival, out) in arrivals.iter().zip(out.chunks_exact_mut(bands)) {
             let j = arrival.point.patch as usize;
             // The base and the probe, scramble by scramble, so that the spread of these knows that of caustics.

@@ -164,7 +164,7 @@ impl Caustics {
 
     /// Casts the rays `numbers` of one scramble.
     fn cast(&self, surroundings: &Surroundings, sobol: &Sobol<6>, numbers: Range<u32>) -> Vec<Deposit> {
-        let Surroundings { scene, lamps, tree, blockers } = *surroundings;
+        let Surroundings { scene, lamps, tree, blockers, .. } = *surroundings;
         let whole = self.cumulated.last().copied().unwrap_or(0.0);
         let (mut started, mut segments, mut hits) = (Vec::new(), Vec::new(), Vec::new());
         for k in numbers {

@@ -178,7 +178,7 @@ fn solid_angle([a, b, c]: &Triangle) -> f64 {
 }
 
 /// The point of a spherical triangle, uniform in solid angle, that belongs to (u, v) in the unit square (Arvo 1995).
-fn point_in_spherical_triangle([a, b, c]: &Triangle, u: f64, v: f64) -> Vec3 {
+pub(super) fn point_in_spherical_triangle([a, b, c]: &Triangle, u: f64, v: f64) -> Vec3 {
     let (ab, ac) = (a.cross(*b).normalize_or_zero(), a.cross(*c).normalize_or_zero());
     let alpha = ab.cross(ac).length().atan2(ab.dot(ac));
     let part = u * solid_angle(&[*a, *b, *c]);

@@ -51,6 +51,12 @@ pub struct Lamps {
 }
 
 impl Lamps {
+    /// No lamps, for a scene of `bands` bands.
+    pub fn none(bands: usize) -> Lamps {
+        let (lamps, mirrors, reflects, glow) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Lamps { lamps, mirrors, reflects, glow, bands, scale: vec![1.0; bands], instructions: Instructions::best() }
+    }
+
     /// Chooses the lamps of a scene.
     ///
     /// # Errors

@@ -12,28 +12,40 @@
 //! - [`caustics`]: their light by way of glass and of mirrors that are not flat
 //! - `mirrors`: lamps seen in flat mirrors; `flat_parts`: patches of one kind merged to polygons
 //! - [`patches`]: their light averaged over patches, to an accuracy
+//! - [`lights`]: light that no patch emits: suns, points and spots, and [`sky`]; [`lighting`]: the same averaged over patches;
+//!   [`irradiance`]: to a tolerance
 
 pub mod caustics;
 mod flat_parts;
+pub mod irradiance;
 pub mod lamp;
 pub mod lamps;
+pub mod lighting;
+pub mod lights;
 mod mirrors;
 pub mod patches;
+pub mod sky;
 
 pub use caustics::Caustics;
+pub use irradiance::{Irradiance, coefficients, irradiance};
 pub use lamp::Lamp;
 pub use lamps::Lamps;
+pub use lighting::Lighting;
+pub use lights::{Cone, Light, Lights};
+pub use sky::Sky;
 
 use crate::scene::Scene;
 use crate::visibility::Bvh;
 
-/// What light of the lamps meets on its way.
+/// Where light starts from, but for what bounces, and what it meets on its way.
 #[derive(Clone, Copy)]
 pub struct Surroundings<'a> {
     /// The scene.
     pub scene: &'a Scene,
     /// Its lamps.
     pub lamps: &'a Lamps,
+    /// The lights that are no patches of it.
+    pub lights: &'a Lights,
     /// All patches.
     pub tree: &'a Bvh,
     /// Those that can stand between others.

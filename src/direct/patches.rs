@@ -5,12 +5,13 @@
 //! F_il is the exact unoccluded form factor, v_il the visible fraction by segments from quasi-random points of the patch to
 //! points of the lamp, weighted as in [`super::lamp`]: a lamp in full view and a lamp behind a wall make no noise. The
 //! segments are [`SCRAMBLES`] independent scrambles of one sequence, whose spread is the standard error. Patches in half-shadow get
-//! more of them, until the error is the one asked for.
+//! more of them, until the error is the one asked for. What comes from other lights is added ([`super::lighting`]).
 
 use rayon::prelude::*;
 
 use super::caustics::Caustics;
 use super::lamp::Point;
+use super::lighting::Lighting;
 use super::{SCRAMBLES, Surroundings};
 use crate::error::Result;
 use crate::form_factor::{Accuracy, Batch, Shape};
@@ -71,6 +72,7 @@ pub struct Direct<'a> {
     surroundings: Surroundings<'a>,
     seed: u64,
     caustics: Option<Caustics>,
+    lighting: Option<Lighting>,
     views: Vec<Vec<View>>,
     /// For each patch the lamps that it sees most of, a bit each.
     in_view: Vec<u64>,
@@ -118,7 +120,9 @@ impl<'a> Direct<'a> {
             .collect();
         let in_view = vec![u64::MAX; scene.len()];
         let caustics = Caustics::of_scene(scene, lamps);
-        let mut direct = Direct { surroundings, seed, caustics, views: views?, in_view, segments: 0 };
+        let lights = surroundings.lights;
+        let lighting = (!lights.is_empty()).then(|| Lighting::new(scene.len(), scene.bands(), lights));
+        let mut direct = Direct { surroundings, seed, caustics, lighting, views: views?, in_view, segments: 0 };
         direct.sample(|_| each, progress)?;
         Ok(direct)
     }
@@ -132,6 +136,11 @@ impl<'a> Direct<'a> {
         if let Some(caustics) = &mut self.caustics {
             let all: u64 = (0..self.surroundings.scene.len()).map(|i| u64::from(wanted(i))).sum();
             caustics.sample(&self.surroundings, all.min(MOST_CAUSTIC_RAYS) as u32, self.seed, progress)?;
+        }
+        if let Some(lighting) = &mut self.lighting {
+            let before = lighting.segments;
+            lighting.sample(&self.surroundings, &wanted, self.seed, progress)?;
+            self.segments += lighting.segments - before;
         }
         let Surroundings { scene, lamps, blockers, .. } = self.surroundings;
         if lamps.is_free(blockers) {
@@ -181,11 +190,14 @@ impl<'a> Direct<'a> {
         Ok(())
     }
 
-    /// Segments to lamps in half-shadow, and rays of caustics in as many segments: those whose number [`Direct::sample`] raises.
+    /// Segments to lamps and lights in half-shadow, and rays of caustics in as many segments: those whose number
+    /// [`Direct::sample`] raises.
     pub fn partial_segments(&self) -> u64 {
         let partial = self.views.iter().flatten().filter(|view| view.is_partial());
         let partial: u64 = partial.map(|view| SCRAMBLES as u64 * u64::from(view.segments)).sum();
+        let lights = self.surroundings.lights;
         partial
+            + self.lighting.as_ref().map_or(0, |lighting| lighting.uneven(lights))
             + self.caustics.as_ref().map_or(0, |caustics| CAUSTIC_COST * SCRAMBLES as u64 * u64::from(caustics.rays))
     }
 
@@ -193,7 +205,8 @@ impl<'a> Direct<'a> {
     pub fn nbytes(&self) -> u64 {
         let views: usize = self.views.iter().map(|views| size_of_val(views.as_slice())).sum();
         let caustics = self.caustics.as_ref().map_or(0, Caustics::nbytes);
-        caustics + (views + size_of_val(self.views.as_slice()) + size_of_val(self.in_view.as_slice())) as u64
+        let lighting = self.lighting.as_ref().map_or(0, Lighting::nbytes);
+        caustics + lighting + (views + size_of_val(self.views.as_slice()) + size_of_val(self.in_view.as_slice())) as u64
     }
 
     /// Whether patch i sees most of lamp l.
@@ -208,6 +221,7 @@ impl<'a> Direct<'a> {
             self.add(view, view.fraction(), out);
         }
         self.add_caustics(i, None, out);
+        self.add_lights(i, None, out);
     }
 
     /// The same as scramble `s` alone has it; the mean of all is [`Direct::irradiance`].
@@ -216,6 +230,7 @@ impl<'a> Direct<'a> {
             self.add(view, view.of_scramble(s), out);
         }
         self.add_caustics(i, Some(s), out);
+        self.add_lights(i, Some(s), out);
     }
 
     /// The part of H of patch i that comes by way of glass and bent mirrors, added to `out`: as scramble `s` alone has it, or as
@@ -225,6 +240,14 @@ impl<'a> Direct<'a> {
             (None, _) => {}
             (Some(caustics), None) => caustics.add(i, out),
             (Some(caustics), Some(s)) => caustics.add_of_scramble(i, s, out),
+        }
+    }
+
+    /// The part of H of patch i that comes from lights that are no patches, added to `out`: as scramble `s` alone has it, or as
+    /// all have it.
+    pub fn add_lights(&self, i: usize, s: Option<usize>, out: &mut [f64]) {
+        if let Some(lighting) = &self.lighting {
+            lighting.add(i, s, out);
         }
     }
 

@@ -7,6 +7,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::convert::{table, values, vector};
+use super::direct::Lights;
 use super::run::run;
 use super::scene::Scene;
 use crate::accuracy::{self, Options, Outcome};
@@ -21,10 +22,11 @@ fn options(tolerance: f64, linear: bool, refine: bool, seed: u64, memory: u64) -
 /// Returns a dictionary: the fields of the core's outcome.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
-#[pyo3(signature = (scene, tolerance, linear, refine, seed, memory, threads, progress))]
+#[pyo3(signature = (scene, lights, tolerance, linear, refine, seed, memory, threads, progress))]
 pub(super) fn solve_scene<'py>(
     py: Python<'py>,
     scene: &Scene,
+    lights: &Lights,
     tolerance: f64,
     linear: bool,
     refine: bool,
@@ -33,10 +35,11 @@ pub(super) fn solve_scene<'py>(
     threads: Option<usize>,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let scene = Arc::clone(&scene.scene);
+    let (scene, lights) = (Arc::clone(&scene.scene), Arc::clone(&lights.lights));
     let bands = scene.bands();
     let options = options(tolerance, linear, refine, seed, memory);
-    let outcome = run(py, threads, progress.as_ref(), move |progress| accuracy::solve(&scene, &options, progress))?;
+    let outcome =
+        run(py, threads, progress.as_ref(), move |progress| accuracy::solve(&scene, &lights, &options, progress))?;
     let error_estimate = outcome.error_estimate();
     let Outcome { radiosity, irradiance, standard_error, sampling_error, discretisation_error, .. } = outcome;
     let Outcome { corrected, patches, rays, segments, history, audit, seconds, .. } = outcome;
@@ -64,10 +67,11 @@ pub(super) fn solve_scene<'py>(
 /// Seconds and bytes that a solve would take.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
-#[pyo3(signature = (scene, tolerance, linear, refine, seed, memory, threads, progress))]
+#[pyo3(signature = (scene, lights, tolerance, linear, refine, seed, memory, threads, progress))]
 pub(super) fn forecast_scene(
     py: Python<'_>,
     scene: &Scene,
+    lights: &Lights,
     tolerance: f64,
     linear: bool,
     refine: bool,
@@ -76,19 +80,21 @@ pub(super) fn forecast_scene(
     threads: Option<usize>,
     progress: Option<Bound<'_, PyAny>>,
 ) -> PyResult<(f64, u64)> {
-    let scene = Arc::clone(&scene.scene);
+    let (scene, lights) = (Arc::clone(&scene.scene), Arc::clone(&lights.lights));
     let options = options(tolerance, linear, refine, seed, memory);
-    let forecast = run(py, threads, progress.as_ref(), move |progress| accuracy::forecast(&scene, &options, progress))?;
+    let forecast =
+        run(py, threads, progress.as_ref(), move |progress| accuracy::forecast(&scene, &lights, &options, progress))?;
     Ok((forecast.seconds, forecast.bytes))
 }
 
 /// The true relative error of an irradiance, and the rays that it took to tell.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
-#[pyo3(signature = (scene, irradiance, tolerance, seed, memory, threads, progress))]
+#[pyo3(signature = (scene, lights, irradiance, tolerance, seed, memory, threads, progress))]
 pub(super) fn assess(
     py: Python<'_>,
     scene: &Scene,
+    lights: &Lights,
     irradiance: PyReadonlyArray2<f64>,
     tolerance: f64,
     seed: u64,
@@ -96,10 +102,11 @@ pub(super) fn assess(
     threads: Option<usize>,
     progress: Option<Bound<'_, PyAny>>,
 ) -> PyResult<(f64, u64)> {
-    let scene = Arc::clone(&scene.scene);
+    let (scene, lights) = (Arc::clone(&scene.scene), Arc::clone(&lights.lights));
     let irradiance = values(&irradiance)?;
     let options = options(tolerance, false, false, seed, memory);
-    let assessment =
-        run(py, threads, progress.as_ref(), move |progress| accuracy::assess(&scene, &irradiance, &options, progress))?;
+    let assessment = run(py, threads, progress.as_ref(), move |progress| {
+        accuracy::assess(&scene, &lights, &irradiance, &options, progress)
+    })?;
     Ok((assessment.error, assessment.rays))
 }

@@ -6,6 +6,7 @@ mod accuracy;
 mod assembly;
 mod block;
 mod convert;
+mod direct;
 mod error;
 mod form_factor;
 mod hierarchy;
@@ -35,6 +36,8 @@ mod _core {
     use super::assembly::FormFactors;
     #[pymodule_export]
     use super::block::Block;
+    #[pymodule_export]
+    use super::direct::{Lights, direct_irradiance, sky_coefficients};
     #[pymodule_export]
     use super::form_factor::{form_factor, pair_form_factors};
     #[pymodule_export]

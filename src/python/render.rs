@@ -8,6 +8,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use super::convert::values;
+use super::direct::Lights;
 use super::error::to_python;
 use super::run::{Raised, run};
 use super::scene::Scene;
@@ -57,10 +58,11 @@ pub(super) fn image_array(py: Python<'_>, pixels: Vec<f64>, shape: [usize; 3]) -
 /// Returns the picture, the estimate of its error, and the passes.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of one Python function, passed on in order")]
-#[pyo3(signature = (scene, irradiance, viewpoint, width, height, tolerance, seed, memory, on_image, threads, progress))]
+#[pyo3(signature = (scene, lights, irradiance, viewpoint, width, height, tolerance, seed, memory, on_image, threads, progress))]
 pub(super) fn gather<'py>(
     py: Python<'py>,
     scene: &Scene,
+    lights: &Lights,
     irradiance: PyReadonlyArray2<f64>,
     viewpoint: Viewpoint,
     width: usize,
@@ -74,7 +76,7 @@ pub(super) fn gather<'py>(
 ) -> PyResult<(Bound<'py, PyArray3<f64>>, f64, usize)> {
     let camera = camera(viewpoint)?;
     let options = GatherOptions { width, height, tolerance, seed, memory };
-    let irradiance = values(&irradiance)?;
+    let (irradiance, lights) = (values(&irradiance)?, Arc::clone(&lights.lights));
     let shape = [height, width, scene.scene.bands()];
     let (tree, scene) = (scene.tree(py)?, Arc::clone(&scene.scene));
     let raised = Raised::default();
@@ -87,7 +89,7 @@ pub(super) fn gather<'py>(
                 callback.call1(py, (image, error)).map(|_| ())
             })
         };
-        core::gather(&scene, &tree, &irradiance, &camera, &options, &mut observe, progress)
+        core::gather(&scene, &tree, &lights, &irradiance, &camera, &options, &mut observe, progress)
     });
     let gathered = raised.or(outcome)?;
     Ok((image_array(py, gathered.pixels, shape)?, gathered.error_estimate, gathered.passes))

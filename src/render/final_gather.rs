@@ -3,7 +3,7 @@
 //!
 //!   L = (E + rho (H_direct + H_indirect)) / pi
 //!
-//! H_direct is what the lamps send there. A tile of the image knows from earlier segments how much c_l of each lamp is seen; a point
+//! H_direct is what lamps, and lights that are no patches ([`crate::direct::lights`]), send there. A tile of the image knows from earlier segments how much c_l of each lamp is seen; a point
 //! asks one lamp more, with probability p_l, at a random place z with weight w ([`crate::direct::lamp`]):
 //!
 //!   H_direct ~ sum over l of c_l E_l F_l  +  E_l w / p_l (V - c_l),    mean over V:  sum over l of E_l integral of V K
@@ -29,7 +29,7 @@ use super::sight::{Sight, around, check_size};
 use super::{Camera, Corners};
 use crate::direct::lamp::Point;
 use crate::direct::lamps::Asked;
-use crate::direct::{Caustics, Lamps, SCRAMBLES, Surroundings};
+use crate::direct::{Caustics, Lamps, Lights, SCRAMBLES, Surroundings};
 use crate::error::{Error, Result};
 use crate::geometry::sampling::{Sobol, hash};
 use crate::memory::filled;
@@ -90,14 +90,16 @@ const MOST_PASSES: usize = 1 << 14;
 
 /// Gathers light for a picture, pass by pass: `observe(pixels, error estimate)` after each.
 ///
-/// `irradiance` is H of the solution, n x b; `tree` must hold all patches of the scene.
+/// `irradiance` is H of the solution, n x b, under these `lights`; `tree` must hold all patches of the scene.
 ///
 /// # Errors
 /// [`Error::Invalid`] for options out of range, or a camera that sees nothing or only backs; [`Error::Memory`];
 /// [`Error::Interrupted`], and those of `observe`.
+#[expect(clippy::too_many_arguments, reason = "what is shown, from where, how well, and who is told")]
 pub fn gather(
     scene: &Scene,
     tree: &Bvh,
+    lights: &Lights,
     irradiance: &[f64],
     camera: &Camera,
     options: &GatherOptions,
@@ -115,7 +117,7 @@ pub fn gather(
     let lamps = Lamps::of_scene(scene)?;
     let blockers = Bvh::of_blockers(scene);
     let sight = Sight::new(scene);
-    let surroundings = Surroundings { scene, lamps: &lamps, tree, blockers: &blockers };
+    let surroundings = Surroundings { scene, lamps: &lamps, lights, tree, blockers: &blockers };
     let gatherer = Gatherer { surroundings, irradiance, sight: &sight };
     let mut view = View {
         gatherer,
@@ -335,7 +337,7 @@ impl View<'_> {
         seen: &mut [f64],
     ) -> (Vec<f64>, Vec<Found>) {
         let Gatherer { surroundings, sight, .. } = self.gatherer;
-        let Surroundings { scene, lamps, tree, blockers } = surroundings;
+        let Surroundings { scene, lamps, lights, tree, blockers } = surroundings;
         let (bands, each) = (scene.bands(), numbers.len());
         // Rays through the pixels, and what they meet.
         let sample = |&pixel: &usize| {
@@ -391,11 +393,13 @@ impl View<'_> {
                 corrections[point] = Some((lamp, weight * (visible - self.known(tile(point), lamp))));
             }
         }
+        // What is no lamp is asked with the same numbers: its light is added up.
+        let mut straight = vec![0.0; points.len() * bands];
+        lights.light(&points, tree, |m| [samples[of[m]][2], samples[of[m]][3]], &mut straight);
         let mut radiance = vec![0.0; pixels.len() * bands];
-        let mut arriving = vec![0.0; bands];
         for (m, point) in points.iter().enumerate() {
             let (pixel, i) = (of[m] / each, point.patch as usize * bands);
-            arriving.fill(0.0);
+            let arriving = &mut straight[m * bands..][..bands];
             for (l, lamp) in lamps.lamps.iter().enumerate() {
                 let f = factors[l * points.len() + m];
                 if f > 0.0 {
@@ -421,11 +425,11 @@ impl View<'_> {
             // The cache knows the place that a ray shows most of; the other one of glass is gathered at by itself.
             let is_first = m == 0 || of[m - 1] != of[m];
             if let Some(Indirect { cache, .. }) = indirect
-                && !(is_first && cache.add(place(of[m]), point, &mut arriving))
+                && !(is_first && cache.add(place(of[m]), point, arriving))
             {
                 let number = u64::from(numbers.start) + (of[m] % each) as u64;
                 let seed = hash(stream ^ hash((pixels[pixel] as u64) << 32 | number));
-                self.gatherer.gather(&[*point], (RAYS_ALONE / each).max(1), &[seed], &mut arriving);
+                self.gatherer.gather(&[*point], (RAYS_ALONE / each).max(1), &[seed], arriving);
             }
             for (b, out) in radiance[pixel * bands..][..bands].iter_mut().enumerate() {
                 let e = scene.emission()[i + b];

@@ -9,6 +9,7 @@ use std::collections::hash_map::Entry;
 
 use glam::Vec3A;
 
+use super::block::HALF;
 use super::build::{Bounds, binary_tree};
 use super::hull::Hull;
 use super::ray::Hit;
@@ -127,6 +128,16 @@ impl Bvh {
     #[inline(always)]
     pub(super) fn normalise(&self, x: Vec3) -> Vec3 {
         (x - self.centre) * self.scale
+    }
+
+    /// Where the way from `x` in the scene along the unit vector `direction` has left it.
+    pub fn outside(&self, x: Vec3, direction: Vec3) -> Vec3 {
+        let start = self.normalise(x);
+        let leave = |k: usize| {
+            let t = (HALF.copysign(direction[k]) - start[k]) / direction[k];
+            if t.is_nan() { f64::INFINITY } else { t }
+        };
+        x + (0..3).map(leave).fold(f64::INFINITY, f64::min) / self.scale * direction
     }
 
     /// Where a patch lies in the order of the leaves.

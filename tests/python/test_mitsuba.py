@@ -553,3 +553,51 @@ def test_our_error_is_discretisation_and_falls_with_refinement(
     assert gains.min() > least_gain
     # As large as patch-constant radiosity errs with so few patches (Cornell boxes of 190 and 760: 2.0 and 1.2 %).
     assert errors[-1] < 0.02
+
+
+def _two_buildings() -> rad.Scene:
+    """Two houses on a ground of 4 x 4 m, a slit above it: no patch may lie on another one."""
+    from radiosity.scenes.builder import Builder
+
+    builder, grey = Builder(), (0.4, 0.5, 0.6)
+    builder.wall("ground", 2, 1, 0.0, ([-2.0, -1.0, 0.0, 1.0, 2.0], [-2.0, -1.0, 0.0, 1.0, 2.0], [0.0]), grey)
+    builder.box("house", (-1.0, -1.0, 0.05), (0.0, 0.0, 1.5), grey)
+    builder.box("house", (0.5, 0.0, 0.05), (1.0, 1.0, 0.8), grey)
+    return builder.scene(1.5)
+
+
+_TABLE = np.random.default_rng(0).random((6, 12, 3))
+
+
+@needs_mitsuba
+@pytest.mark.parametrize(
+    "lights",
+    [
+        (rad.Sky((1.0, 2.0, 3.0)),),
+        (rad.Sky(1.0, "overcast"),),
+        (rad.Sky.table(_TABLE, north=(1, 1, 0)),),
+        (rad.Sun((0.5, 0.3, 0.7), (3.0, 2.0, 1.0)), rad.Sky(1.0, "overcast")),
+        (rad.PointLight((0.3, -0.5, 1.2), 2.0),),
+        (rad.SpotLight((0.5, -1.5, 2.0), (0.0, 0.5, 0.0), (5.0, 1.0, 2.0), 40.0, 20.0),),
+    ],
+    ids=["constant", "overcast", "table", "sun and sky", "point", "spot"],
+)
+def test_lights_agree_with_the_path_tracer(lights):
+    scene = _two_buildings()
+    solution = rad.solve(scene, 0.003, lights=lights, progress=False)
+    traced, error = rad.mitsuba.reference_radiosity(scene, paths(2000, 100) * scene.n_patches, lights=lights)
+    # Only in sum: in the shadow of a point light patches that no path has lit yet have no standard error at all.
+    both = np.hypot(error, solution.standard_error)
+    weights = scene.areas[:, None]
+    pooled = (weights * (traced - solution.radiosity)).sum(axis=0)
+    assert np.abs(pooled / np.sqrt(((weights * both) ** 2).sum(axis=0))).max() < 4.5
+    # And the RMS of the difference is that of the noise, with 4.5 deviations of its own, and of the tolerance.
+    off, noise = (np.sqrt((weights * values**2).sum(axis=0)) for values in (traced - solution.radiosity, both))
+    size = np.sqrt((weights * traced**2).sum(axis=0))
+    assert (off < (1.0 + 4.5 / np.sqrt(2 * scene.n_patches)) * noise + 2 * 0.003 * size).all()
+
+
+@needs_mitsuba
+def test_several_skies_are_refused():
+    with pytest.raises(ValueError, match="one sky"):
+        rad.mitsuba.to_mitsuba(_two_buildings(), [rad.Sky(1.0), rad.Sky(2.0)])

@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use radiosity::accuracy::{Options, Outcome, assess, forecast, solve};
 use radiosity::assembly::Order;
+use radiosity::direct::Lights;
 use radiosity::geometry::Vec3;
 use radiosity::scene::{Scene, Sides};
 use radiosity::{Error, Progress};
@@ -13,7 +14,7 @@ use crate::common::{Mesh, PLENTY, box_in_box, cube, invalid, on_threads, two_pla
 const DEFAULT: Options = Options { tolerance: 0.02, order: Order::Linear, refine: true, seed: 0, memory: PLENTY };
 
 fn solved(scene: &Scene, options: &Options) -> Outcome {
-    solve(scene, options, &Progress::default()).unwrap()
+    solve(scene, &Lights::default(), options, &Progress::default()).unwrap()
 }
 
 /// A closed room with a box in it and one wall that shines.
@@ -125,8 +126,10 @@ fn what_cannot_be_solved_is_refused() {
     let scene = room(1, |v| v);
     for tolerance in [0.0, 1.0, -0.1, f64::NAN] {
         let options = Options { tolerance, ..DEFAULT };
-        assert!(invalid(solve(&scene, &options, &Progress::default())).contains("outside (0, 1)"));
-        assert!(invalid(forecast(&scene, &options, &Progress::default())).contains("outside (0, 1)"));
+        assert!(invalid(solve(&scene, &Lights::default(), &options, &Progress::default())).contains("outside (0, 1)"));
+        assert!(
+            invalid(forecast(&scene, &Lights::default(), &options, &Progress::default())).contains("outside (0, 1)")
+        );
     }
     // A cube with one wall that has a corner in the middle of an edge: no edge closes it there, but rays find no way out.
     let walls = cube(1).faces[2..].to_vec();
@@ -139,9 +142,9 @@ fn what_cannot_be_solved_is_refused() {
     let ring = [ring[0], 0.5 * (ring[0] + ring[1]), ring[1], ring[2], ring[3]];
     let fan: Vec<[Vec3; 3]> = (0..5).map(|k| [ring[k], ring[(k + 1) % 5], middle]).collect();
     let white = open.and(&Mesh::of_triangles(&fan)).scene_with(1, Sides::Front, |_, _| 1.0, |i, _| f64::from(i == 0));
-    let refusal = invalid(solve(&white, &DEFAULT, &Progress::default()));
+    let refusal = invalid(solve(&white, &Lights::default(), &DEFAULT, &Progress::default()));
     assert!(refusal.contains("no finite solution"), "{refusal}");
-    let little = solve(&scene, &Options { memory: 1000, ..DEFAULT }, &Progress::default());
+    let little = solve(&scene, &Lights::default(), &Options { memory: 1000, ..DEFAULT }, &Progress::default());
     assert!(matches!(little, Err(Error::Memory { needed, available: 1000, .. }) if needed > 1000));
 }
 
@@ -150,7 +153,7 @@ fn a_wish_to_stop_is_heard() {
     let progress = Progress::default();
     progress.stop();
     let start = Instant::now();
-    let outcome = solve(&room(12, |v| v), &Options { tolerance: 1e-4, ..DEFAULT }, &progress);
+    let outcome = solve(&room(12, |v| v), &Lights::default(), &Options { tolerance: 1e-4, ..DEFAULT }, &progress);
     assert!(matches!(outcome, Err(Error::Interrupted)));
     // To the end it would take minutes.
     assert!(start.elapsed().as_secs() < 5);
@@ -179,22 +182,22 @@ fn solutions_from_elsewhere_are_assessed() {
     for error in [0.0, 0.2] {
         // Too bright by so much everywhere: relative to rho H that is the error.
         let irradiance: Vec<f64> = best.irradiance.iter().map(|h| (1.0 + error) * h).collect();
-        let told = assess(&scene, &irradiance, &DEFAULT, &Progress::default()).unwrap();
+        let told = assess(&scene, &Lights::default(), &irradiance, &DEFAULT, &Progress::default()).unwrap();
         // The square is known to 15 %, and a third of the discretisation error of constant patches, some 5 % of H in this
         // coarse room, is left.
         assert!((told.error - error).abs() < 0.15 * error + 0.03, "{told:?} instead of {error}");
     }
-    assert!(invalid(assess(&scene, &[1.0], &DEFAULT, &Progress::default())).contains("irradiance"));
+    assert!(invalid(assess(&scene, &Lights::default(), &[1.0], &DEFAULT, &Progress::default())).contains("irradiance"));
 }
 
 #[test]
 fn the_forecast_asks_for_the_memory_of_the_solve() {
     let scene = room(6, |v| v);
     let options = Options { tolerance: 0.01, ..DEFAULT };
-    let told = forecast(&scene, &options, &Progress::default()).unwrap();
+    let told = forecast(&scene, &Lights::default(), &options, &Progress::default()).unwrap();
     assert!(told.seconds > 0.0);
     // What is told is enough, and not a byte less is.
-    let within = |memory| solve(&scene, &Options { memory, ..options }, &Progress::default());
+    let within = |memory| solve(&scene, &Lights::default(), &Options { memory, ..options }, &Progress::default());
     assert!(within(told.bytes).is_ok());
     assert!(matches!(within(told.bytes - 1), Err(Error::Memory { needed, .. }) if needed == told.bytes));
 }

@@ -6,7 +6,7 @@ use radiosity::Progress;
 
 use radiosity::direct::lamp::Point;
 use radiosity::direct::patches::Direct;
-use radiosity::direct::{Lamp, Lamps, SCRAMBLES, Surroundings};
+use radiosity::direct::{Lamp, Lamps, Lights, SCRAMBLES, Surroundings};
 use radiosity::geometry::sampling::Sobol;
 use radiosity::scene::Sides;
 use radiosity::visibility::Bvh;
@@ -113,9 +113,9 @@ fn half_hidden() -> radiosity::scene::Scene {
 fn light_at_points_and_on_patches_by_symmetry() {
     let scene = half_hidden();
     let (lamps, tree) = (Lamps::of_scene(&scene).unwrap(), Bvh::of_scene(&scene));
-    let blockers = Bvh::of_blockers(&scene);
+    let (blockers, none) = (Bvh::of_blockers(&scene), Lights::default());
     assert_eq!(lamps.lamps.len(), 1);
-    let surroundings = Surroundings { scene: &scene, lamps: &lamps, tree: &tree, blockers: &blockers };
+    let surroundings = Surroundings { scene: &scene, lamps: &lamps, lights: &none, tree: &tree, blockers: &blockers };
     let mut direct = Direct::new(surroundings, 1e-8, 3, 4, &Progress::default()).unwrap();
     direct.sample(|_| 4096 / SCRAMBLES as u32, &Progress::default()).unwrap();
     // Mirroring at x = 0 exchanges free segments and hidden ones: half of E F is left, F = 0.199824895698 (Howell C-11).
@@ -170,8 +170,8 @@ fn light_at_points_is_right_in_the_mean() {
 fn nothing_is_asked_where_nothing_can_stand_between() {
     let scene = cube(2).scene_with(1, Sides::Front, |_, _| 0.5, |i, _| if i < 8 { PI } else { 0.0 });
     let (lamps, tree) = (Lamps::of_scene(&scene).unwrap(), Bvh::of_scene(&scene));
-    let blockers = Bvh::of_blockers(&scene);
-    let surroundings = Surroundings { scene: &scene, lamps: &lamps, tree: &tree, blockers: &blockers };
+    let (blockers, none) = (Bvh::of_blockers(&scene), Lights::default());
+    let surroundings = Surroundings { scene: &scene, lamps: &lamps, lights: &none, tree: &tree, blockers: &blockers };
     let mut direct = Direct::new(surroundings, 1e-9, 0, 4, &Progress::default()).unwrap();
     direct.sample(|_| 100, &Progress::default()).unwrap();
     assert_eq!(direct.segments, 0);

@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use radiosity::direct::Lamp;
+use radiosity::direct::Lights;
 use radiosity::direct::lamp::Point;
 use radiosity::geometry::Vec3;
 use radiosity::render::{Camera, GatherOptions, Gathered, gather};
@@ -18,7 +19,16 @@ fn options(tolerance: f64) -> GatherOptions {
 
 fn try_gather(scene: &Scene, irradiance: &[f64], camera: &Camera, options: &GatherOptions) -> Result<Gathered> {
     let mut observe = |_: &[f64], _: f64| Ok(());
-    gather(scene, &Bvh::of_scene(scene), irradiance, camera, options, &mut observe, &Progress::default())
+    gather(
+        scene,
+        &Bvh::of_scene(scene),
+        &Lights::default(),
+        irradiance,
+        camera,
+        options,
+        &mut observe,
+        &Progress::default(),
+    )
 }
 
 #[test]
@@ -168,7 +178,16 @@ fn who_watches_may_stop_it() {
     };
     let irradiance = vec![0.2; scene.len()];
     let tree = Bvh::of_scene(&scene);
-    let stopped = gather(&scene, &tree, &irradiance, &camera, &options(1e-9), &mut observe, &Progress::default());
+    let stopped = gather(
+        &scene,
+        &tree,
+        &Lights::default(),
+        &irradiance,
+        &camera,
+        &options(1e-9),
+        &mut observe,
+        &Progress::default(),
+    );
     assert!(matches!(stopped, Err(Error::Interrupted)));
     assert_eq!(seen, 2);
 }

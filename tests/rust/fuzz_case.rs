@@ -9,6 +9,7 @@ use radiosity::accuracy;
 use radiosity::assembly::balance::{balanced, balanced_exchange};
 use radiosity::assembly::matrix::{DenseMatrix, SparseMatrix};
 use radiosity::assembly::{Blockers, Dense, DenseOptions, Estimator, FormFactors, Order, Sampled, SampledOptions};
+use radiosity::direct::Lights;
 use radiosity::form_factor::{Accuracy, Shape, exchange};
 use radiosity::geometry::Vec3;
 use radiosity::geometry::polygon::defect;
@@ -338,7 +339,7 @@ fn pictures(u: &mut Unstructured, scene: &Scene) -> Result<()> {
         passes += 1;
         if passes < 8 { Ok(()) } else { Err(Error::Interrupted) }
     };
-    match render::gather(scene, &tree, &light, &camera, &options, &mut observe, &progress) {
+    match render::gather(scene, &tree, &Lights::default(), &light, &camera, &options, &mut observe, &progress) {
         Err(Error::Interrupted) => assert_eq!(passes, 8),
         other => drop(accepted(other)),
     }
@@ -366,14 +367,14 @@ fn solved(u: &mut Unstructured, scene: &Scene) -> Result<()> {
     let tolerance = if u.ratio(1, 16)? { number(u)? } else { 0.5 };
     let options =
         accuracy::Options { tolerance: tolerance.max(0.3), order, refine: u.arbitrary()?, seed: 0, memory: 1 << 24 };
-    let progress = Progress::default();
-    if let Some(outcome) = accepted(accuracy::solve(scene, &options, &progress)) {
+    let (progress, none) = (Progress::default(), Lights::default());
+    if let Some(outcome) = accepted(accuracy::solve(scene, &none, &options, &progress)) {
         // The probe's correction has either sign: radiosity may fall below the emission by a part of its standard error.
         assert!(outcome.radiosity.iter().all(|b| b.is_finite()), "{:?}", outcome.radiosity);
         assert!(outcome.error_estimate() >= 0.0);
-        accepted(accuracy::assess(scene, &outcome.irradiance, &options, &progress));
+        accepted(accuracy::assess(scene, &none, &outcome.irradiance, &options, &progress));
     }
-    accepted(accuracy::forecast(scene, &options, &progress));
+    accepted(accuracy::forecast(scene, &none, &options, &progress));
     Ok(())
 }
 

@@ -4,6 +4,7 @@ use radiosity::Progress;
 use radiosity::accuracy::{Options, solve};
 use radiosity::assembly::rays::{Field, Sample};
 use radiosity::assembly::{FormFactors, Order, Trips};
+use radiosity::direct::Lights;
 use radiosity::scene::Sides;
 
 use rayon::prelude::*;
@@ -168,7 +169,7 @@ fn both_orders_agree_with_dense_factors() {
         exact.iter_mut().zip(scene.emission()).zip(&h).for_each(|((b, e), h)| *b = e + 0.6 * h);
     }
     for order in [Order::Constant, Order::Linear] {
-        let outcome = solve(&scene, &options(0.01, order), &Progress::default()).unwrap();
+        let outcome = solve(&scene, &Lights::default(), &options(0.01, order), &Progress::default()).unwrap();
         let norm = |x: &dyn Fn(usize) -> f64| {
             scene.areas().iter().enumerate().map(|(i, area)| area * x(i) * x(i)).sum::<f64>().sqrt()
         };
@@ -182,8 +183,11 @@ fn both_orders_agree_with_dense_factors() {
 #[test]
 fn a_furnace_is_exact_for_any_number_of_threads() {
     let scene = cube(3).scene_with(2, Sides::Front, |_, b| [0.5, 0.9][b], |_, b| [1.0, 3.0][b]);
-    let run =
-        |threads| on_threads(threads, || solve(&scene, &options(0.1, Order::Linear), &Progress::default()).unwrap());
+    let run = |threads| {
+        on_threads(threads, || {
+            solve(&scene, &Lights::default(), &options(0.1, Order::Linear), &Progress::default()).unwrap()
+        })
+    };
     let outcome = run(1);
     for (k, b) in outcome.radiosity.iter().enumerate() {
         // E / (1 - rho), to the residual 1e-3 of the pilot's solve times that of what follows it, 3e-2.

@@ -7,7 +7,7 @@ use radiosity::accuracy::{Options, solve};
 use radiosity::assembly::Order;
 
 use radiosity::direct::patches::Direct;
-use radiosity::direct::{Lamps, SCRAMBLES, Surroundings};
+use radiosity::direct::{Lamps, Lights, SCRAMBLES, Surroundings};
 use radiosity::geometry::Vec3;
 use radiosity::scene::{Description, Material, Scene, Sides};
 use radiosity::visibility::specular::{End, branches, follow};
@@ -163,7 +163,7 @@ fn a_furnace_with_mirrors_and_glass_is_a_furnace() {
         _ => Material::Mirror(1.0),
     };
     let scene = scene(&mesh, material, |_| 0.6, |_| 1.0);
-    let outcome = solve(&scene, &options(0.05), &Progress::default()).unwrap();
+    let outcome = solve(&scene, &Lights::default(), &options(0.05), &Progress::default()).unwrap();
     // Every ray arrives at the same radiance: rounding only.
     outcome.radiosity[..n].iter().for_each(|b| assert_close(*b, 2.5, 1e-12));
     assert!(outcome.radiosity[n..].iter().all(|b| *b == 0.0));
@@ -188,7 +188,8 @@ fn beside_a_mirror(far: bool) -> (Scene, usize) {
 
 fn direct_irradiance(scene: &Scene, n: usize, segments: u32) -> (Vec<f64>, usize) {
     let (lamps, tree, blockers) = (Lamps::of_scene(scene).unwrap(), Bvh::of_scene(scene), Bvh::of_blockers(scene));
-    let surroundings = Surroundings { scene, lamps: &lamps, tree: &tree, blockers: &blockers };
+    let none = Lights::default();
+    let surroundings = Surroundings { scene, lamps: &lamps, lights: &none, tree: &tree, blockers: &blockers };
     let mut direct = Direct::new(surroundings, 1e-8, 1, 4, &Progress::default()).unwrap();
     direct.sample(|_| segments, &Progress::default()).unwrap();
     let irradiance = |i: usize| {

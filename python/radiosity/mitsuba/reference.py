@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 import operator
 import sys
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IntArray, seed_number
+from ..lights import Light, in_chosen_bands, lights_of, spectra, strength, with_strength
 
 if TYPE_CHECKING:
     from ..scene import Scene
 
 from .variant import is_scalar, mitsuba_for_a_while
-from .writing import HAIR, apart, build, run_starts, specular_of, twice_area_vectors, unit_vectors
+from .writing import HAIR, apart, build, emitters, run_starts, specular_of, twice_area_vectors, unit_vectors
 
 # Half of the traced scene's longest side. Mitsuba lifts rays by (1 + max|p|) * 9e-5: at 100 the 1 no longer counts,
 # and the lift is 9e-5 of the scene however small, large or far away the scene was.
@@ -44,7 +46,12 @@ MISSES_LET_THROUGH = 2
 
 
 def reference_radiosity(
-    scene: Scene, paths: int, seed: int = 0, *, max_bounces: int | None = None
+    scene: Scene,
+    paths: int,
+    seed: int = 0,
+    *,
+    lights: Light | Iterable[Light] = (),
+    max_bounces: int | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the radiosity of each patch by Mitsuba's path tracer, and its standard error.
 
@@ -66,6 +73,7 @@ def reference_radiosity(
         scene: n patches, b bands (any number).
         paths: total number of paths, at least 2 n.
         seed: 0 or more.
+        lights: light that no patch emits, as in `radiosity.solve`; at most one sky among it (see `to_mitsuba`).
         max_bounces: cut paths after so many bounces instead, and leave their light out.
 
     Returns:
@@ -73,14 +81,17 @@ def reference_radiosity(
 
     Raises:
         ImportError: Mitsuba is not installed.
-        TypeError: `paths`, `seed` or `max_bounces` is not an integer.
+        TypeError: `paths`, `seed` or `max_bounces` is not an integer, or `lights` holds something else.
         ValueError: too few paths; a reflectance so near 1 that paths would need more than 20,000 bounces, with no
             `max_bounces`; or a patch that rays cannot reach because another one lies on it.
 
     """
     per_patch = paths_per_patch(paths, scene.n_patches)
     seed = seed_number(seed)
-    corners = centred_and_scaled(scene.vertices[scene.faces])
+    known = lights_of(lights, scene.bands)
+    original = scene.vertices[scene.faces]
+    corners = centred_and_scaled(original)
+    middle, scale = frame(original)
     radiosity = scene.emission.astype(np.float64)
     standard_error = np.zeros_like(radiosity)
     with mitsuba_for_a_while() as mi:
@@ -88,12 +99,16 @@ def reference_radiosity(
             bands = slice(first, first + 3)
             rho, emission = three_bands(scene.reflectance[:, bands]), three_bands(scene.emission[:, bands])
             # In units of the largest, for 32 bits end at 1e38.
-            unit = emission.max()
+            lit = in_chosen_bands(known, bands)
+            unit = max(emission.max(), spectra(lit).max() if lit else 0.0)
             if unit == 0.0:
                 continue
             integrator = _path_integrator(mi, float(rho.max()), last_bounce(float(rho.max()), max_bounces))
             specular = specular_of(scene)
-            reflected, error = _reflected(mi, integrator, corners, rho, emission / unit, specular, per_patch, seed)
+            around = emitters(mi, in_three_bands(lit), unit, middle, scale)
+            reflected, error = _reflected(
+                mi, integrator, corners, rho, emission / unit, specular, around, per_patch, seed
+            )
             # A path that begins at a mirror or at glass shows what is seen there.
             reflected[specular.any(axis=1)] = error[specular.any(axis=1)] = 0.0
             width = radiosity[:, bands].shape[1]
@@ -127,8 +142,23 @@ def three_bands(values: FloatArray) -> FloatArray:
 
 def centred_and_scaled(corners: FloatArray) -> FloatArray:
     """Return triangles (n, 3, 3) in a box about the origin whose longest side is 2 `TRACED_HALF_SIZE`; twins apart."""
+    middle, scale = frame(corners)
+    return apart((corners - middle) * scale)
+
+
+def frame(corners: FloatArray) -> tuple[FloatArray, float]:
+    """Return the middle of triangles (n, 3, 3), and what they are multiplied by to be traced."""
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    return apart((corners - (low + high) / 2.0) * (2.0 * TRACED_HALF_SIZE / (high - low).max()))
+    return (low + high) / 2.0, float(2.0 * TRACED_HALF_SIZE / (high - low).max())
+
+
+def in_three_bands(lights: tuple[Light, ...]) -> tuple[Light, ...]:
+    """Fill the strengths of lights up with black bands, as `three_bands` does with those of patches."""
+
+    def filled(values: FloatArray) -> FloatArray:
+        return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, 3 - values.shape[-1])])
+
+    return tuple(with_strength(light, filled(strength(light))) for light in lights)
 
 
 def last_bounce(largest_reflectance: float, wanted: int | None) -> int | None:
@@ -172,12 +202,13 @@ def _reflected(
     rho: FloatArray,
     emission: FloatArray,
     specular: FloatArray,
+    lights: dict[str, Any],
     per_patch: int,
     seed: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return B - E and its standard error, (n, 3) each, from `per_patch` paths for each triangle (n, 3, 3)."""
     patches = len(corners)
-    traced = build(mi, corners, rho, emission, specular)
+    traced = build(mi, corners, rho, emission, specular, lights)
     # Mesh and face in the mesh of each patch, to see whether a ray reached it.
     starts = np.array(run_starts(emission, specular))
     mesh = np.searchsorted(starts, np.arange(patches), side="right") - 1

@@ -1,13 +1,15 @@
-"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters, mirrors and glass."""
+"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters, mirrors, glass, and lights that are no patches."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..arrays import FloatArray
+from ..lights import Light, Sky, SpotLight, Sun, lights_of
 
 if TYPE_CHECKING:
     from ..scene import Scene
@@ -17,9 +19,11 @@ from .variant import mitsuba_with_rgb
 # The distance, in scene sizes, from which a patch is looked at, and by which a patch and its reversed twin are moved
 # apart. Well under what Mitsuba's own ray lift ignores (4.5e-5), well over the rounding of a 32-bit coordinate (3e-8).
 HAIR = 5e-6
+# Of the image that a sky becomes, odd: one row lies at the horizon. Twice as many columns.
+_SKY_ROWS = 1025
 
 
-def to_mitsuba(scene: Scene) -> Any:
+def to_mitsuba(scene: Scene, lights: Light | Iterable[Light] = ()) -> Any:
     """Return the scene as a `mitsuba.Scene`, ready for `mitsuba.render` with a sensor of your own.
 
     One band becomes grey, three become RGB. Surfaces are one-sided as in `Scene`: a `diffuse` BSDF with the
@@ -31,11 +35,17 @@ def to_mitsuba(scene: Scene) -> Any:
     `sides="both"` makes them) are each moved by 5e-6 of the scene's size along their normals, because a ray could not
     tell which of the two it meets.
 
+    Lights become emitters: a `Sun` is `directional`, a constant `Sky` `constant`, every other `Sky` an `envmap` of 32
+    bits, a `PointLight` `point`, and a `SpotLight` `spot`. Mitsuba takes one sky, and interpolates between the pixels
+    of an `envmap`: each cell of a table becomes several, which blurs its borders.
+
     Sets the Mitsuba variant (see `variant`) if none is set.
 
     Raises:
         ImportError: Mitsuba is not installed.
-        ValueError: the scene has neither one band nor three, or the Mitsuba variant that is set cannot be used.
+        TypeError: `lights` holds something else.
+        ValueError: the scene has neither one band nor three, there is more than one sky, or the Mitsuba variant that is
+            set cannot be used.
 
     """
     if scene.bands not in (1, 3):
@@ -47,7 +57,8 @@ def to_mitsuba(scene: Scene) -> Any:
     shape = (scene.n_patches, 3)
     corners = apart(scene.vertices[scene.faces])
     reflectance, emission = np.broadcast_to(scene.reflectance, shape), np.broadcast_to(scene.emission, shape)
-    return build(mi, corners, reflectance, emission, specular_of(scene))
+    known = lights_of(lights, scene.bands)
+    return build(mi, corners, reflectance, emission, specular_of(scene), emitters(mi, known))
 
 
 def specular_of(scene: Scene) -> FloatArray:
@@ -55,7 +66,14 @@ def specular_of(scene: Scene) -> FloatArray:
     return np.stack([scene.mirror, np.nan_to_num(scene.ior)], axis=1)
 
 
-def build(mi: Any, corners: FloatArray, reflectance: FloatArray, emission: FloatArray, specular: FloatArray) -> Any:
+def build(
+    mi: Any,
+    corners: FloatArray,
+    reflectance: FloatArray,
+    emission: FloatArray,
+    specular: FloatArray,
+    lights: dict[str, Any] | None = None,
+) -> Any:
     """Build a Mitsuba scene from triangles (n, 3, 3), reflectance, emission in W/m^2 (n, 3) and `specular_of` (n, 2).
 
     A mesh for each run of equal emission and material: Mitsuba 3.9 accepts a `mesh_attribute` as the radiance of an
@@ -64,7 +82,7 @@ def build(mi: Any, corners: FloatArray, reflectance: FloatArray, emission: Float
     bsdf = mi.load_dict({"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "face_reflectance"}})
     areas = 0.5 * np.linalg.norm(twice_area_vectors(corners), axis=1)
     starts = run_starts(emission, specular)
-    content: dict[str, Any] = {"type": "scene", "integrator": {"type": "path"}}
+    content: dict[str, Any] = {"type": "scene", "integrator": {"type": "path"}, **(lights or {})}
     for start, stop in zip(starts, [*starts[1:], len(corners)], strict=True):
         properties = mi.Properties()
         properties["bsdf"] = _specular_bsdf(mi, *specular[start]) if specular[start].any() else bsdf
@@ -81,6 +99,73 @@ def build(mi: Any, corners: FloatArray, reflectance: FloatArray, emission: Float
         name = f"patches_{start:09d}"
         content[name] = _mesh(mi, name, corners[start:stop], reflectance[start:stop], properties)
     return mi.load_dict(content)
+
+
+def emitters(
+    mi: Any, lights: tuple[Light, ...], unit: float = 1.0, shift: Any = 0.0, scale: float = 1.0
+) -> dict[str, Any]:
+    """Return the emitters of lights of one or three bands, as `mitsuba.load_dict` takes them.
+
+    Their strength is divided by `unit`; places x become scale * (x - shift), and what shines from one place then shines
+    scale^2 times as much for the same irradiance.
+    """
+    if sum(isinstance(light, Sky) for light in lights) > 1:
+        raise ValueError("Mitsuba takes one sky, and there are several: add their radiances up in one table")
+    content: dict[str, Any] = {}
+    for k, light in enumerate(lights):
+        name = f"light_{k:05d}"
+        if isinstance(light, Sky):
+            content[name] = _sky(mi, light, unit)
+        elif isinstance(light, Sun):
+            away = [-x for x in light.towards]
+            content[name] = {"type": "directional", "direction": away, "irradiance": _rgb(light.irradiance / unit)}
+        else:
+            place = scale * (np.asarray(light.position) - shift)
+            intensity = _rgb(light.intensity * (scale**2 / unit))
+            if isinstance(light, SpotLight):
+                # Any direction across the axis will do for up.
+                up = np.eye(3)[int(np.argmin(np.abs(light.axis)))]
+                matrix = mi.ScalarTransform4f().look_at(place.tolist(), (place + light.axis).tolist(), up.tolist())
+                content[name] = {
+                    "type": "spot",
+                    "to_world": matrix,
+                    "intensity": intensity,
+                    "cutoff_angle": light.cutoff,
+                    "beam_width": light.beam,
+                }
+            else:
+                content[name] = {"type": "point", "position": place.tolist(), "intensity": intensity}
+    return content
+
+
+def _rgb(values: FloatArray) -> dict[str, Any]:
+    return {"type": "rgb", "value": np.broadcast_to(values, 3).tolist()}
+
+
+def _sky(mi: Any, sky: Sky, unit: float) -> dict[str, Any]:
+    """Return a `constant` or an `envmap`, whose own zenith is +y and whose azimuth 0 is -z, clockwise from above."""
+    if sky.distribution == "constant":
+        return {"type": "constant", "radiance": _rgb(sky.radiance / unit)}
+    # Rows of pixels lie at the polar angles pi r / (R - 1), columns in the middle of theirs.
+    polar = math.pi * np.arange(_SKY_ROWS) / (_SKY_ROWS - 1)
+    if sky.distribution == "overcast":
+        up = np.cos(polar)
+        # At the horizon, where it ends, half of it.
+        bright = np.where(np.abs(up) < 1e-9, 0.5, up > 0.0) * (1.0 + 2.0 * up) / 3.0
+        pixels = np.broadcast_to(bright[:, None, None] * sky.radiance, (_SKY_ROWS, 2 * _SKY_ROWS, sky.radiance.size))
+    else:
+        rows, columns = sky.radiance.shape[:2]
+        row = np.minimum((polar / math.pi * rows).astype(int), rows - 1)
+        width = columns * max(1, math.ceil(2 * _SKY_ROWS / columns))
+        column = np.arange(width) * columns // width
+        pixels = sky.radiance[row[:, None], column[None, :]]
+    image = np.broadcast_to(pixels / unit, (*pixels.shape[:2], 3)).astype(np.float32)
+    up, north = np.asarray(sky.up), np.asarray(sky.north)
+    north = unit_vectors((north - (north @ up) * up)[None])[0]
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([np.cross(north, up), up, -north], axis=1)
+    bitmap = mi.Bitmap(np.ascontiguousarray(image))
+    return {"type": "envmap", "bitmap": bitmap, "to_world": mi.ScalarTransform4f(matrix)}
 
 
 def _specular_bsdf(mi: Any, mirror: float, ior: float) -> Any:

@@ -12,18 +12,24 @@ gallery furniture stands on floors that run on beneath it.
     colonnade         a hall with a double row of pillars, which throw shadows of two colours
     mirror_and_glass  the Cornell box with a mirror for its back wall and a glass sphere
     gallery           rooms with pictures, plinths and benches under skylights, and a window
+    crater            a bowl under the open sky; what is scattered in it has a closed form
+    city              seven buildings under the open sky
     theatre           a stage, stepped seats, a balcony, spotlights and ceiling lights; 50,000 triangles and more
 """
 
 from .gallery import gallery, gallery_view
+from .outdoors import city, city_view, crater
 from .rooms import colonnade, cornell_box, cornell_box_view, furnace, parallel_plates, two_rooms
 from .specular import mirror_and_glass, mirror_and_glass_view
 from .theatre import theatre, theatre_view
 
 __all__ = [
+    "city",
+    "city_view",
     "colonnade",
     "cornell_box",
     "cornell_box_view",
+    "crater",
     "furnace",
     "gallery",
     "gallery_view",
