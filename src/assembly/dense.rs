@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
-use super::FormFactors;
 use super::hidden::{Blockers, Candidate, settle};
 use super::matrix::add_scaled;
+use super::{FormFactors, Numbers};
 use crate::error::{Error, Result};
 use crate::form_factor::{Accuracy, Batch, Patch};
 use crate::geometry::sampling::hash;
@@ -32,22 +32,35 @@ pub struct DenseOptions {
 
 /// The sampling error that is left in one pair.
 #[derive(Debug, Clone, Copy)]
-struct Uncertain {
-    i: u32,
-    j: u32,
+pub struct Uncertain {
+    /// One patch.
+    pub i: u32,
+    /// The other, with the lower number.
+    pub j: u32,
     /// Standard error of G_ij, m^2.
-    standard_error: f64,
+    pub standard_error: f64,
+}
+
+/// All of a dense operator that its scene does not tell.
+#[derive(Debug, Clone)]
+pub struct KeptDense {
+    /// G_i0 .. G_i,i-1 of every row i, m^2.
+    pub exchange: Numbers,
+    /// Pairs whose visibility was sampled.
+    pub uncertain: Vec<Uncertain>,
+    /// Bound on the relative error of the kernels.
+    pub kernel_error: f64,
+    /// Estimate of the largest row error.
+    pub error_estimate: f64,
+    /// Segments cast.
+    pub segments: u64,
 }
 
 /// Dense symmetric form factors of a scene.
 #[derive(Debug, Clone)]
 pub struct Dense {
     areas: Vec<f64>,
-    exchange: Vec<f64>,
-    uncertain: Vec<Uncertain>,
-    kernel_error: f64,
-    error_estimate: f64,
-    segments: u64,
+    kept: KeptDense,
 }
 
 /// Share of the row tolerance that goes to the unoccluded kernels: a small one, because they are cheap and their error,
@@ -128,28 +141,63 @@ impl Dense {
         uncertain.shrink_to_fit();
         let kernel_error = accuracy.tolerance();
         let error_estimate = kernel_error + visibility_error;
-        Ok(Dense { areas: scene.areas().to_vec(), exchange, uncertain, kernel_error, error_estimate, segments })
+        let kept = KeptDense { exchange: Numbers::of(exchange), uncertain, kernel_error, error_estimate, segments };
+        Ok(Dense { areas: scene.areas().to_vec(), kept })
+    }
+
+    /// The operator of a scene from what was kept of it. The exchange is taken as it is, and not looked at.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for what cannot be of this scene, or of any.
+    pub fn from_kept(scene: &Scene, kept: KeptDense) -> Result<Dense> {
+        scene.require_diffuse("a matrix of form factors")?;
+        let n = scene.len();
+        let KeptDense { exchange, uncertain, kernel_error, error_estimate, .. } = &kept;
+        if exchange.len() != row_start(n) {
+            let (found, wanted) = (exchange.len(), row_start(n));
+            return Err(Error::Invalid(format!("the exchange of {n} patches has {wanted} entries, not {found}")));
+        }
+        if let Some(k) = uncertain.iter().position(|u| !(u.j < u.i && (u.i as usize) < n && is_error(u.standard_error)))
+        {
+            let Uncertain { i, j, standard_error } = uncertain[k];
+            return Err(Error::Invalid(format!(
+                "uncertain pair {k}, of the patches {i} and {j} with the standard error {standard_error}, is none of {n} \
+                 patches"
+            )));
+        }
+        if ![*kernel_error, *error_estimate].into_iter().all(is_error) {
+            return Err(Error::Invalid(format!(
+                "the errors {kernel_error} of the kernels and {error_estimate} of the rows are not both numbers from 0"
+            )));
+        }
+        Ok(Dense { areas: scene.areas().to_vec(), kept })
+    }
+
+    /// All that the scene does not tell.
+    pub fn kept(&self) -> &KeptDense {
+        &self.kept
     }
 
     /// Estimate of the largest row error max_i sum_j |dF_ij|: the kernels' bound plus the error
     /// that is estimated of every visible fraction.
     pub fn error_estimate(&self) -> f64 {
-        self.error_estimate
+        self.kept.error_estimate
     }
 
     /// Segments cast.
     pub fn segments(&self) -> u64 {
-        self.segments
+        self.kept.segments
     }
 
     /// G_i0 .. G_i,i-1.
     fn lower(&self, i: usize) -> &[f64] {
-        &self.exchange[row_start(i)..][..i]
+        &self.kept.exchange[row_start(i)..][..i]
     }
 
     /// G_ji for j = i + 1, i + 2, ...
     fn upper(&self, i: usize) -> impl Iterator<Item = f64> + '_ {
-        (i + 1..self.areas.len()).map(move |j| self.exchange[row_start(j) + i])
+        let exchange = self.exchange();
+        (i + 1..self.areas.len()).map(move |j| exchange[row_start(j) + i])
     }
 
     /// All G_ij of patch i with their j, in the order of j.
@@ -158,13 +206,14 @@ impl Dense {
     }
 
     /// The packed triangle of G: the i entries G_i0 .. G_i,i-1 of every row i, m^2.
-    pub(super) fn exchange(&self) -> &[f64] {
-        &self.exchange
+    pub fn exchange(&self) -> &[f64] {
+        &self.kept.exchange
     }
 
     /// The same operator with another exchange, whose rows are off by no more than `error_estimate`.
     pub(super) fn with_exchange(&self, exchange: Vec<f64>, error_estimate: f64) -> Dense {
-        Dense { exchange, error_estimate, ..self.clone() }
+        let exchange = Numbers::of(exchange);
+        Dense { areas: self.areas.clone(), kept: KeptDense { exchange, error_estimate, ..self.kept.clone() } }
     }
 }
 
@@ -226,17 +275,17 @@ impl FormFactors for Dense {
     }
 
     fn kernel_error(&self) -> f64 {
-        self.kernel_error
+        self.kept.kernel_error
     }
 
     fn standard_error(&self, x: &[f64], bands: usize) -> Option<Vec<f64>> {
-        if self.uncertain.is_empty() {
+        if self.kept.uncertain.is_empty() {
             return None;
         }
         // In units of the largest, squares neither overflow nor vanish.
         let peak = x.iter().fold(f64::MIN_POSITIVE, |peak, x| x.abs().max(peak));
         let mut variance = vec![0.0; self.areas.len() * bands];
-        for u in &self.uncertain {
+        for u in &self.kept.uncertain {
             let (i, j) = (u.i as usize, u.j as usize);
             for b in 0..bands {
                 variance[i * bands + b] += (u.standard_error / self.areas[i] * (x[j * bands + b] / peak)).powi(2);
@@ -247,11 +296,11 @@ impl FormFactors for Dense {
     }
 
     fn sampling_error(&self, x: &[f64], bands: usize, draw: u64) -> Option<Vec<f64>> {
-        if self.uncertain.is_empty() {
+        if self.kept.uncertain.is_empty() {
             return None;
         }
         let mut out = vec![0.0; self.areas.len() * bands];
-        for (k, u) in self.uncertain.iter().enumerate() {
+        for (k, u) in self.kept.uncertain.iter().enumerate() {
             // A random sign has the variance 1, which is all that a sum of many needs.
             let sign = if hash(draw ^ hash(k as u64)) & 1 == 0 { 1.0 } else { -1.0 };
             let (i, j) = (u.i as usize, u.j as usize);
@@ -264,10 +313,13 @@ impl FormFactors for Dense {
     }
 
     fn nbytes(&self) -> usize {
-        size_of_val(self.exchange.as_slice())
-            + size_of_val(self.areas.as_slice())
-            + size_of_val(self.uncertain.as_slice())
+        size_of_val(self.exchange()) + size_of_val(self.areas.as_slice()) + size_of_val(self.kept.uncertain.as_slice())
     }
+}
+
+/// Whether this can be an error.
+pub(super) fn is_error(value: f64) -> bool {
+    (0.0..f64::INFINITY).contains(&value)
 }
 
 /// The rows of `x` of every patch but i.

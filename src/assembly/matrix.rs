@@ -126,6 +126,11 @@ impl SparseMatrix {
         Ok(SparseMatrix { rows, columns })
     }
 
+    /// The three arrays of compressed sparse rows: starts, columns and values.
+    pub fn rows(&self) -> (&[usize], &[u32], &[f64]) {
+        (&self.rows.start, &self.rows.index, &self.rows.value)
+    }
+
     /// The entries of row i, and the place of the first of them among those of all rows.
     pub(super) fn entries(&self, i: usize) -> (usize, impl Iterator<Item = (usize, f64)> + '_) {
         (self.rows.start[i], self.rows.row(i))

@@ -18,6 +18,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 
 use super::FormFactors;
+use super::dense::is_error;
 use super::matrix::SparseMatrix;
 use crate::error::{Error, Result};
 use crate::form_factor::Accuracy;
@@ -51,21 +52,31 @@ pub struct SampledOptions {
 
 /// What is known of the errors of the entries.
 #[derive(Debug, Clone)]
-enum Uncertainty {
+pub enum Uncertainty {
     /// Rays that each row rests on.
     Rays(Vec<u32>),
     /// The error of every entry, in the order of the matrix.
     Entries(Vec<f64>),
 }
 
+/// All of a sampled operator that its scene does not tell.
+#[derive(Debug, Clone)]
+pub struct KeptSampled {
+    /// The rows.
+    pub matrix: SparseMatrix,
+    /// Their errors.
+    pub uncertainty: Uncertainty,
+    /// Estimate of the largest row error.
+    pub error_estimate: f64,
+    /// Rays cast.
+    pub rays: u64,
+}
+
 /// Form factors of a scene, each row sampled for itself.
 #[derive(Debug, Clone)]
 pub struct Sampled {
     areas: Vec<f64>,
-    matrix: SparseMatrix,
-    uncertainty: Uncertainty,
-    error_estimate: f64,
-    rays: u64,
+    kept: KeptSampled,
 }
 
 /// One row as it was found.
@@ -167,26 +178,54 @@ impl Sampled {
             Estimator::Hemicube => Uncertainty::Entries(error),
         };
         let matrix = SparseMatrix::new(start, index, value)?;
-        Ok(Sampled { areas: scene.areas().to_vec(), matrix, uncertainty, error_estimate, rays: total })
+        let kept = KeptSampled { matrix, uncertainty, error_estimate, rays: total };
+        Ok(Sampled { areas: scene.areas().to_vec(), kept })
+    }
+
+    /// The operator of a scene from what was kept of it.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for what cannot be of this scene, or of any.
+    pub fn from_kept(scene: &Scene, kept: KeptSampled) -> Result<Sampled> {
+        scene.require_diffuse("a matrix of form factors")?;
+        let n = scene.len();
+        if kept.matrix.len() != n {
+            return Err(Error::Invalid(format!("{} rows are not those of {n} patches", kept.matrix.len())));
+        }
+        let is_sound = match &kept.uncertainty {
+            Uncertainty::Rays(rays) => rays.len() == n && rays.iter().all(|&rays| rays > 0),
+            Uncertainty::Entries(errors) => {
+                errors.len() == kept.matrix.rows().1.len() && errors.iter().all(|&error| is_error(error))
+            }
+        };
+        if !is_sound || !is_error(kept.error_estimate) {
+            return Err(Error::Invalid("the errors of the rows are not those of this matrix".to_string()));
+        }
+        Ok(Sampled { areas: scene.areas().to_vec(), kept })
+    }
+
+    /// All that the scene does not tell.
+    pub fn kept(&self) -> &KeptSampled {
+        &self.kept
     }
 
     /// Estimate of the largest row error max_i sum_j |dF_ij|: what is to be expected of Monte Carlo, the sum of both
     /// differences of a hemicube.
     pub fn error_estimate(&self) -> f64 {
-        self.error_estimate
+        self.kept.error_estimate
     }
 
     /// Rays cast.
     pub fn rays(&self) -> u64 {
-        self.rays
+        self.kept.rays
     }
 
     /// Calls `visit(i, j, F_ij, e_ij, number of the entry)` for every entry, with the standard error e_ij.
     fn for_each_entry(&self, mut visit: impl FnMut(usize, usize, f64, f64, usize)) {
         for i in 0..self.len() {
-            let (first, entries) = self.matrix.entries(i);
+            let (first, entries) = self.kept.matrix.entries(i);
             for (k, (j, f)) in entries.enumerate() {
-                let error = match &self.uncertainty {
+                let error = match &self.kept.uncertainty {
                     Uncertainty::Rays(rays) => (f / f64::from(rays[i])).sqrt(),
                     Uncertainty::Entries(errors) => errors[first + k],
                 };
@@ -196,7 +235,7 @@ impl Sampled {
     }
 
     fn counts(&self) -> bool {
-        matches!(self.uncertainty, Uncertainty::Rays(_))
+        matches!(self.kept.uncertainty, Uncertainty::Rays(_))
     }
 }
 
@@ -230,15 +269,15 @@ impl FormFactors for Sampled {
     }
 
     fn gather(&self, i: usize, x: &[f64], out: &mut [f64]) {
-        self.matrix.gather(i, x, out);
+        self.kept.matrix.gather(i, x, out);
     }
 
     fn shoot(&self, i: usize, amount: &[f64], out: &mut [f64]) {
-        self.matrix.shoot(i, amount, out);
+        self.kept.matrix.shoot(i, amount, out);
     }
 
     fn row(&self, i: usize, out: &mut [f64]) {
-        self.matrix.row(i, out);
+        self.kept.matrix.row(i, out);
     }
 
     fn standard_error(&self, x: &[f64], bands: usize) -> Option<Vec<f64>> {
@@ -256,7 +295,7 @@ impl FormFactors for Sampled {
                 variance[i * bands + b] += (error * ((x[j * bands + b] - mean[i * bands + b]) / peak)).powi(2);
             }
         });
-        if let Uncertainty::Rays(rays) = &self.uncertainty {
+        if let Uncertainty::Rays(rays) = &self.kept.uncertainty {
             for (k, (variance, sum)) in
                 variance.iter_mut().zip(self.nobody().iter().flat_map(|s| vec![*s; bands])).enumerate()
             {
@@ -283,7 +322,7 @@ impl FormFactors for Sampled {
                 out[i * bands + b] += signed * (x[j * bands + b] - mean[i * bands + b]);
             }
         });
-        if let Uncertainty::Rays(rays) = &self.uncertainty {
+        if let Uncertainty::Rays(rays) = &self.kept.uncertainty {
             for (i, nobody) in self.nobody().into_iter().enumerate() {
                 let signed = sign(!(i as u64)) * (nobody / f64::from(rays[i])).sqrt();
                 for b in 0..bands {
@@ -295,11 +334,11 @@ impl FormFactors for Sampled {
     }
 
     fn nbytes(&self) -> usize {
-        let uncertainty = match &self.uncertainty {
+        let uncertainty = match &self.kept.uncertainty {
             Uncertainty::Rays(rays) => size_of_val(rays.as_slice()),
             Uncertainty::Entries(errors) => size_of_val(errors.as_slice()),
         };
-        self.matrix.nbytes() + size_of_val(self.areas.as_slice()) + uncertainty
+        self.kept.matrix.nbytes() + size_of_val(self.areas.as_slice()) + uncertainty
     }
 }
 

@@ -9,6 +9,7 @@ mod error;
 mod form_factor;
 mod hierarchy;
 mod instant;
+mod mapped;
 mod render;
 mod reserve;
 mod run;
