@@ -8,14 +8,16 @@ blanks that end the header of a ``.npy`` member make up for it.
 
 from __future__ import annotations
 
+import errno
 import io
 import math
 import os
 import struct
 import zipfile
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, BinaryIO, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -75,15 +77,19 @@ def names_in(path: Path) -> frozenset[str]:
         ValueError: the file is no ``.npz`` file.
         FileNotFoundError: no such file.
     """
+    with _opened(path) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                return frozenset(name.removesuffix(".npy") for name in archive.namelist())
+        except Exception as error:  # zipfile raises its own kinds, and others where it is misled
+            raise ValueError(f"{path}: no .npz file, or a damaged one ({error})") from error
+
+
+def _opened(path: Path) -> BinaryIO:
     try:
-        with zipfile.ZipFile(path) as archive:
-            return frozenset(name.removesuffix(".npy") for name in archive.namelist())
+        return path.open("rb")
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: no such file") from None
-    except OSError:
-        raise
-    except Exception as error:  # zipfile raises its own kinds, and others where it is misled
-        raise ValueError(f"{path}: no .npz file, or a damaged one ({error})") from error
 
 
 def read_arrays(path: Path, mapped: Container[str], check: bool) -> dict[str, AnyArray]:
@@ -95,35 +101,44 @@ def read_arrays(path: Path, mapped: Container[str], check: bool) -> dict[str, An
 
     Raises:
         ValueError: the file is damaged; it begins with ``path``.
-        OSError: it cannot be read.
+        OSError: it cannot be opened.
+        MemoryError: it cannot be read or mapped.
     """
     arrays: dict[str, AnyArray] = {}
+    with _opened(path) as file, _damage_told(path), zipfile.ZipFile(file) as archive:
+        size = os.fstat(file.fileno()).st_size
+        for info in archive.infolist():
+            name = info.filename.removesuffix(".npy")
+            if info.compress_type != zipfile.ZIP_STORED or info.file_size > size or name in arrays:
+                raise ValueError(f"{info.filename} is compressed, too long or there twice")
+            with archive.open(info) as member:
+                shape, order, dtype, start = _described(member)
+                if info.file_size != start + dtype.itemsize * math.prod(shape) or order or dtype.hasobject:
+                    raise ValueError(f"{info.filename} is no plain array of its size")
+                if name not in mapped or not math.prod(shape):
+                    data = member.read()
+                    arrays[name] = np.frombuffer(data, dtype).reshape(shape)
+                    continue
+                while check and member.read(_CHUNK):
+                    pass
+            # Of the two headers of a member, the one before it says where it starts.
+            file.seek(info.header_offset + _LOCAL_HEADER - _LENGTHS.size)
+            start += info.header_offset + _LOCAL_HEADER + sum(_LENGTHS.unpack(file.read(_LENGTHS.size)))
+            arrays[name] = np.memmap(file, dtype, "r", start, shape)
+    return {name: _usable(array) for name, array in arrays.items()}
+
+
+@contextmanager
+def _damage_told(path: Path) -> Iterator[None]:
+    """Errors of whatever kind, of a file that is there, as ``ValueError``."""
     try:
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
-            size = os.fstat(file.fileno()).st_size
-            for info in archive.infolist():
-                name = info.filename.removesuffix(".npy")
-                if info.compress_type != zipfile.ZIP_STORED or info.file_size > size or name in arrays:
-                    raise ValueError(f"{info.filename} is compressed, too long or there twice")
-                with archive.open(info) as member:
-                    shape, order, dtype, start = _described(member)
-                    if info.file_size != start + dtype.itemsize * math.prod(shape) or order or dtype.hasobject:
-                        raise ValueError(f"{info.filename} is no plain array of its size")
-                    if name not in mapped or not math.prod(shape):
-                        data = member.read()
-                        arrays[name] = np.frombuffer(data, dtype).reshape(shape)
-                        continue
-                    while check and member.read(_CHUNK):
-                        pass
-                # Of the two headers of a member, the one before it says where it starts.
-                file.seek(info.header_offset + _LOCAL_HEADER - _LENGTHS.size)
-                start += info.header_offset + _LOCAL_HEADER + sum(_LENGTHS.unpack(file.read(_LENGTHS.size)))
-                arrays[name] = np.memmap(file, dtype, "r", start, shape)
-    except (OSError, MemoryError):
+        yield
+    except MemoryError:
         raise
     except Exception as error:  # zipfile, struct and numpy raise their own kinds
+        if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+            raise MemoryError(f"{path}: not enough addresses to map it") from error
         raise ValueError(f"{path}: damaged, {error}") from error
-    return {name: _usable(array) for name, array in arrays.items()}
 
 
 def _described(member: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
