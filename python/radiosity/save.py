@@ -21,7 +21,7 @@ from .solution import EnergyAudit, Report, Solution, Step
 
 FORMATS = (".npz", ".glb", ".ply", ".vtu", ".vtk")
 # Of the layout of .npz files.
-_VERSION = 1
+VERSION = 1
 _MOST_TEXELS = 16384
 # What JSON makes of the types of a report's fields.
 _KINDS: dict[str, Any] = {
@@ -114,6 +114,8 @@ def load_solution(path: str | os.PathLike[str]) -> Solution:
         raise ValueError(f"{path}: no saved solution; only the .npz files of save can be read again, whole")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            if "settings" in file.files:
+                raise ValueError("form factors: load_form_factors reads them")
             contents = {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: no such file") from None
@@ -124,7 +126,7 @@ def load_solution(path: str | os.PathLike[str]) -> Solution:
     version = contents.get("version")
     if version is None or np.shape(version):
         raise ValueError(f"{path}: no saved solution")
-    if int(version) > _VERSION:
+    if int(version) > VERSION:
         raise ValueError(f"{path}: written by a later version of radiosity (layout {int(version)})")
     count = contents.pop("arrays", None)
     if count is not None and (np.shape(count) or int(count) != len(contents)):
@@ -147,7 +149,7 @@ def _contents(solution: Solution) -> dict[str, Any]:
         if part.name not in ("audit", "bound")
     }
     contents: dict[str, Any] = {
-        "version": np.int64(_VERSION),
+        "version": np.int64(VERSION),
         "radiosity": solution.radiosity,
         "irradiance": solution.irradiance,
         "standard_error": solution.standard_error,

@@ -9,24 +9,21 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
+from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from . import _core
-from .arrays import (
-    FloatArray,
-    IntArray,
-    read_only,
-    real_number,
-    thread_count,
-    whole_number,
-)
+from .arrays import FloatArray, IntArray, read_only, real_number, seed_number, thread_count
+from .cache import Cache, folder_of, kept, solution_in
 from .form_factors import form_factors_as_reached
 from .glass import glass_hints
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .report import listed
+from .save import load_solution, save
 from .scene import Scene
 from .solution import EnergyAudit, Forecast, Report, Solution, Step, System
 from .system import solve_system
@@ -53,6 +50,7 @@ def solve(
     seed: int = 0,
     threads: int | None = None,
     progress: Progress = True,
+    cache: Cache = None,
 ) -> Solution:
     """Solves a scene to a tolerance of the true error.
 
@@ -76,16 +74,22 @@ def solve(
         seed: of the quasi-random points.
         threads: None for all cores. The result is the same for any number.
         progress: see :mod:`radiosity.progress`.
+        cache: a folder in which solutions are kept, one file each, and taken from where mesh, materials, method,
+            tolerance and all else that changes the result are the same: bit for bit, with the report of the solve that
+            was made, but for its ``.system``. Of ``"dense"`` the form factors are kept, too, for other materials. None
+            keeps nothing.
 
     Raises:
         ValueError: an unknown method, a value out of range, or a scene without finite solution; but for ``"rays"``
             also a patch that repeats another one, whose light would count twice.
+        OSError: ``cache`` cannot be written to.
         MemoryError: the solution would not fit, with the estimate: before any work, or before the patches are cut.
             ``"hierarchical"`` raises it when not even the patches fit, and else stops where memory ends and says so.
 
     Warns:
         UserWarning: the scene has no emission; its glass is nothing that light can be followed through (as
-            :meth:`Scene.report` has it); or the tolerance was not met, and ``.error_estimate`` says what was.
+            :meth:`Scene.report` has it); or the tolerance was not met, and ``.error_estimate`` says what was. A file in
+            ``cache`` is damaged, or could not be written, after which the result is as good as without.
 
     Sources:
         Keller, "Quasi-Monte Carlo radiosity" 1996; Zatz 1993 (linear radiosity on a patch); Heinrich 2001 (corrections
@@ -95,15 +99,35 @@ def solve(
     _check(scene, tolerance, method, order)
     if not scene.emission.any():
         warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
-    distinct, bands = _distinct_bands(scene)
-    if method == "hierarchical":
-        solution = _solve_hierarchical(distinct, tolerance, seed, threads, progress)
-    elif method == "dense":
-        solution = _solve_dense(distinct, tolerance, seed, threads, progress)
-    else:
+    if method in ("auto", "rays"):
         for hint in glass_hints(scene, lambda patches: listed(patches, scene.names)):
             warnings.warn(hint, UserWarning, stacklevel=2)
-        solution = _solve_rays(distinct, tolerance, order, refine, seed, threads, progress)
+    number, workers, folder = seed_number(seed), thread_count(threads), folder_of(cache)
+
+    def compute() -> Solution:
+        distinct, bands = _distinct_bands(scene)
+        if method == "hierarchical":
+            solution = _solve_hierarchical(distinct, tolerance, number, workers, progress)
+        elif method == "dense":
+            solution = _solve_dense(distinct, tolerance, number, workers, progress, folder)
+        else:
+            solution = _solve_rays(distinct, tolerance, order, refine, number, workers, progress)
+        return solution if distinct is scene else _in_all_bands(solution, scene, bands)
+
+    if folder is None:
+        solution = compute()
+    else:
+        settings: dict[str, Any] = {"method": method, "tolerance": float(tolerance), "seed": number}
+        if method in ("auto", "rays"):
+            settings |= {"method": "rays", "order": int(order), "refine": bool(refine)}
+        solution = kept(
+            solution_in(folder, scene, **settings),
+            lambda path: dataclasses.replace(load_solution(path), scene=scene),
+            compute,
+            save,
+            # With more memory it may come out better another time.
+            lambda solution: not solution.report.out_of_memory,
+        )
     if solution.error_estimate > tolerance:
         warnings.warn(
             f"the error is about {solution.error_estimate:.2g}, above the tolerance {tolerance:g}: "
@@ -111,7 +135,7 @@ def solve(
             UserWarning,
             stacklevel=2,
         )
-    return solution if distinct is scene else _in_all_bands(solution, scene, bands)
+    return solution
 
 
 def _reason(report: Report) -> str:
@@ -154,7 +178,7 @@ def forecast(
             float(tolerance),
             order == 1,
             bool(refine),
-            whole_number("seed", seed, 0, 2**64 - 1),
+            seed_number(seed),
             available_bytes(),
             thread_count(threads),
             report,
@@ -228,7 +252,7 @@ def _solve_rays(
             float(tolerance),
             order == 1,
             bool(refine),
-            whole_number("seed", seed, 0, 2**64 - 1),
+            seed,
             available_bytes(),
             thread_count(threads),
             report,
@@ -266,7 +290,7 @@ def _solve_hierarchical(scene: Scene, tolerance: float, seed: int, threads: int 
         result = _core.solve_hierarchical(
             scene._core,
             float(tolerance),
-            whole_number("seed", seed, 0, 2**64 - 1),
+            seed,
             available_bytes(),
             thread_count(threads),
             report,
@@ -310,13 +334,15 @@ def _on_links(
     )
 
 
-def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None, progress: Progress) -> Solution:
+def _solve_dense(
+    scene: Scene, tolerance: float, seed: int, threads: int | None, progress: Progress, folder: Path | None
+) -> Solution:
     row_tolerance = _FIRST_ROW_TOLERANCE * tolerance
     seconds = {"form factors": 0.0, "solve": 0.0}
     segments = 0
     for attempt in range(_ATTEMPTS):
         start = perf_counter()
-        F = form_factors_as_reached(scene, max(min(row_tolerance, 0.5), 1e-8), "auto", seed, threads, progress)
+        F = form_factors_as_reached(scene, max(min(row_tolerance, 0.5), 1e-8), "auto", seed, threads, progress, folder)
         seconds["form factors"] += perf_counter() - start
         segments += F.segments
         solution = solve_system(
@@ -334,7 +360,7 @@ def _solve_dense(scene: Scene, tolerance: float, seed: int, threads: int | None,
             scene._core,
             np.ascontiguousarray(solution.irradiance),
             float(tolerance),
-            whole_number("seed", seed, 0, 2**64 - 1),
+            seed,
             available_bytes(),
             thread_count(threads),
             report,

@@ -229,7 +229,7 @@ def _solved_states(
     progress: Progress,
 ) -> Solutions:
     """:func:`solve_system` for (n, b, k) emission."""
-    core, scene, segments, row_error, is_at_hand = operator
+    core, scene, segments, row_error, _ = operator
     e = shaped("emission", emission, core.n, "b", "k")
     n, bands, _ = e.shape
     rho, _ = per_patch(n, reflectance=reflectance, emission=np.zeros((n, bands)))

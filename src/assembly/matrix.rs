@@ -68,7 +68,7 @@ impl FormFactors for DenseMatrix {
 
 /// Compressed rows: row i holds entries `start[i] .. start[i + 1]`.
 #[derive(Debug, Clone)]
-pub(super) struct Compressed {
+pub struct Compressed {
     pub(super) start: Vec<usize>,
     pub(super) index: Vec<u32>,
     pub(super) value: Vec<f64>,
@@ -79,7 +79,7 @@ impl Compressed {
     ///
     /// # Errors
     /// [`Error::Invalid`] when the arrays do not fit together, or an entry is outside [0, 1].
-    pub(super) fn new(
+    pub fn new(
         start: Vec<usize>,
         index: Vec<u32>,
         value: Vec<f64>,
@@ -99,6 +99,11 @@ impl Compressed {
         let rows = Compressed { start, index, value };
         check_entries((0..rows.len()).flat_map(|i| rows.row(i).map(move |(j, f)| (first + i, j, f))))?;
         Ok(rows)
+    }
+
+    /// The three arrays of compressed sparse rows: starts, columns and values.
+    pub fn parts(&self) -> (&[usize], &[u32], &[f64]) {
+        (&self.start, &self.index, &self.value)
     }
 
     /// Number of rows.
