@@ -18,7 +18,7 @@ from importlib.metadata import version as _version
 
 from . import distributed, gradients, mitsuba, plot, scenes
 from .bounces import bounces
-from .form_factors import FormFactors, form_factor, form_factors, pair_form_factors
+from .form_factors import FormFactors, form_factor, form_factors, load_form_factors, pair_form_factors
 from .instant import VirtualLights, instant, virtual_lights
 from .lights import PointLight, Sky, SpotLight, Sun, direct_irradiance, sky_coefficients
 from .load import load
@@ -58,6 +58,7 @@ __all__ = [
     "gradients",
     "instant",
     "load",
+    "load_form_factors",
     "load_solution",
     "mitsuba",
     "pair_form_factors",

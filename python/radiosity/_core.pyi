@@ -32,6 +32,9 @@ __all__ = [
 
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
+_Bytes = npt.NDArray[np.uint8]
+_Numbers = npt.NDArray[np.uint32]
+_Places = npt.NDArray[np.uint64]
 _Report = Callable[[int, int], object]
 _Point = tuple[float, float, float]
 _Viewpoint = tuple[_Point, _Point, _Point, float]
@@ -178,6 +181,44 @@ class FormFactors:
     ) -> FormFactors: ...
     def links(self) -> tuple[_Ints, _Ints] | None: ...
     def balance(self, memory: int) -> tuple[FormFactors, float]: ...
+    def exchange(self, start: int, stop: int) -> _Floats | None: ...
+    def dense_parts(self) -> tuple[tuple[_Places, _Numbers] | None, _Numbers, _Floats, float] | None: ...
+    @staticmethod
+    def from_dense_parts(
+        scene: Scene,
+        pattern: tuple[_Places, _Numbers] | None,
+        exchange: _Floats,
+        pairs: _Numbers,
+        standard_errors: _Floats,
+        kernel_error: float,
+        error_estimate: float,
+        segments: int,
+    ) -> FormFactors: ...
+    def sampled_parts(self) -> tuple[_Places, _Numbers, _Floats, _Numbers | None, _Floats | None] | None: ...
+    @staticmethod
+    def from_sampled_parts(
+        scene: Scene,
+        start: _Places,
+        index: _Numbers,
+        value: _Floats,
+        rays: _Numbers | None,
+        errors: _Floats | None,
+        error_estimate: float,
+        segments: int,
+    ) -> FormFactors: ...
+    def links_parts(self) -> tuple[_Numbers, _Places, _Bytes, _Floats, _Floats, int] | None: ...
+    @staticmethod
+    def from_links_parts(
+        scene: Scene,
+        nodes: _Numbers,
+        places: _Places,
+        visibility: _Bytes,
+        exchanges: _Floats,
+        matrices: _Floats,
+        tree_mark: int,
+        error_estimate: float,
+        segments: int,
+    ) -> FormFactors: ...
     @staticmethod
     def from_array(array: _Floats) -> FormFactors: ...
     @staticmethod

@@ -6,15 +6,19 @@ a closed scene sum to 1; A_i F_ij = A_j F_ji. F does not depend on the unit of l
 
 from __future__ import annotations
 
+import os
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import _core
+from . import _core, keep
 from .arrays import FloatArray, IntArray, read_only, row_number, seed_number, shaped, thread_count, vectors
+from .cache import Cache, folder_of, form_factors_in, kept
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .scene import Scene
@@ -84,6 +88,7 @@ def form_factors(
     seed: int = 0,
     threads: int | None = None,
     progress: Progress = True,
+    cache: Cache = None,
 ) -> FormFactors:
     """The form factors of a scene, occlusion included.
 
@@ -120,21 +125,25 @@ def form_factors(
         seed: of the segments and rays. The result is the same for any number of threads.
         threads: None for all cores.
         progress: see :mod:`radiosity.progress`.
+        cache: a folder in which form factors are kept, one file each, and taken from where the mesh, the method, the
+            tolerance and the seed are the same; materials do not matter. None keeps nothing.
 
     Raises:
         ValueError: an unknown method, a tolerance out of range; for ``"analytic"`` and ``"hierarchical"`` a patch that
             repeats another one, whose light would count twice.
+        OSError: ``cache`` cannot be written to.
         MemoryError: the factors would not fit, with the estimate; the dense exchange is refused before any work, sparse
             rows as soon as they outgrow the memory.
 
     Warns:
-        UserWarning: the tolerance was not met by as many segments or rays as the method may cast.
+        UserWarning: the tolerance was not met by as many segments or rays as the method may cast; a file in ``cache``
+            is damaged, or could not be written, after which the result is as good as without.
 
     Sources:
         Hanrahan, Salzman & Aupperle 1991 (hierarchical); Malley 1988 (Monte Carlo); Cohen & Greenberg 1985 (hemicube);
         Baum, Rushmeier & Winget 1989 (its assumptions).
     """
-    F = form_factors_as_reached(scene, tolerance, method, seed, threads, progress)
+    F = form_factors_as_reached(scene, tolerance, method, seed, threads, progress, folder_of(cache))
     tolerance_missed(F.error_estimate, tolerance, F.method)
     return F
 
@@ -151,27 +160,78 @@ def tolerance_missed(error_estimate: float, tolerance: float, method: str) -> No
 
 
 def form_factors_as_reached(
-    scene: Scene, tolerance: float, method: str, seed: int, threads: int | None, progress: Progress
+    scene: Scene,
+    tolerance: float,
+    method: str,
+    seed: int,
+    threads: int | None,
+    progress: Progress,
+    folder: Path | None = None,
 ) -> FormFactors:
     """Like :func:`form_factors`, for callers that judge the error estimate themselves."""
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}")
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; the methods of form_factors are {METHODS}")
-    number, workers = seed_number(seed), thread_count(threads)
-    with reporter(progress, "form factors") as report:
-        if method in ("monte_carlo", "hemicube"):
-            core = _core.FormFactors.sampled(
-                scene._core, method, float(tolerance), number, available_bytes(), workers, report
-            )
-            return FormFactors(core, scene, method)
-        if method == "hierarchical":
-            core = _core.FormFactors.hierarchical(
-                scene._core, float(tolerance), number, available_bytes(), workers, report
-            )
-            return FormFactors(core, scene, method)
-        core = _core.FormFactors.dense(scene._core, float(tolerance), number, available_bytes(), workers, report)
-        return FormFactors(core, scene, "analytic")
+    settings = keep.Settings("analytic" if method == "auto" else method, float(tolerance), seed_number(seed), None)
+    workers = thread_count(threads)
+
+    def compute() -> FormFactors:
+        with reporter(progress, "form factors") as report:
+            return FormFactors(_computed(scene, settings, workers, report), scene, settings)
+
+    if folder is None:
+        return compute()
+    return kept(
+        form_factors_in(folder, scene, method=settings.method, tolerance=settings.tolerance, seed=settings.seed),
+        lambda path: load_form_factors(path, scene),
+        compute,
+        lambda F, path: F.save(path),
+        # Links end where the memory does, which may be larger another time.
+        lambda F: settings.method != "hierarchical" or F.error_estimate <= settings.tolerance,
+    )
+
+
+def _computed(
+    scene: Scene, settings: keep.Settings, threads: int | None, report: Callable[[int, int], object] | None
+) -> _core.FormFactors:
+    method, tolerance, seed, _ = settings
+    limits = (tolerance, seed, available_bytes(), threads, report)
+    if method in ("monte_carlo", "hemicube"):
+        return _core.FormFactors.sampled(scene._core, method, *limits)
+    if method == "hierarchical":
+        return _core.FormFactors.hierarchical(scene._core, *limits)
+    return _core.FormFactors.dense(scene._core, *limits)
+
+
+def load_form_factors(path: str | os.PathLike[str], scene: Scene, check: bool = True) -> FormFactors:
+    """Form factors that :meth:`FormFactors.save` wrote, of the same patches, bit for bit.
+
+    Those of ``"analytic"`` stay in the file, which the system reads as they are used: they take no memory of their own,
+    and all processes that load one file share it; where only what is not 0 is kept, it is just the places that are
+    read, and take 12 bytes each. The file may be replaced or deleted meanwhile, as :meth:`save` does, but not written
+    to in place. Of ``"hierarchical"`` the tree over the patches is built again, which takes a part of the time that the
+    links took; ``docs/keeping.md`` describes the file.
+
+    Args:
+        path: a ``.npz`` file.
+        scene: the scene that the factors are of. Reflectance and emission may be others, since F does not depend on
+            them.
+        check: whether the numbers that stay in the file are compared with their checksums, for which all of it is read
+            once. Without, a large file is open at once, and a damaged number in it goes unnoticed; everything that the
+            numbers are found by is checked in any case.
+
+    Raises:
+        TypeError: no scene.
+        FileNotFoundError: no such file.
+        ValueError: no saved form factors, a damaged file, or one of another layout; a scene with other patches, of
+            which the first is named.
+        MemoryError: sampled rows, links, or the places of what is not 0, would not fit.
+    """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene must be a radiosity.Scene, not {type(scene).__name__}")
+    core, settings = keep.read(path, scene, check)
+    return FormFactors(core, scene, settings)
 
 
 @dataclass(frozen=True, repr=False)
@@ -204,14 +264,17 @@ class FormFactors:
     """The scene that the factors belong to."""
     method: str
     """``"analytic"``, ``"hierarchical"``, ``"monte_carlo"`` or ``"hemicube"``."""
+    tolerance: float
+    """The tolerance that was asked for."""
+    seed: int
+    """The seed of segments and rays."""
     balanced_by: float | None
     """How far :meth:`balance` has moved the factors, the largest sum over j of abs(dF_ij); None if it has not."""
 
-    def __init__(self, core: _core.FormFactors, scene: Scene, method: str, balanced_by: float | None = None) -> None:
+    def __init__(self, core: _core.FormFactors, scene: Scene, settings: keep.Settings) -> None:
         self._core = core
         self.scene = scene
-        self.method = method
-        self.balanced_by = balanced_by
+        self.method, self.tolerance, self.seed, self.balanced_by = settings
 
     def __repr__(self) -> str:
         return f"FormFactors({self.shape[0]} patches, {self.nbytes} bytes, row error about {self.error_estimate:.2g})"
@@ -305,7 +368,21 @@ class FormFactors:
                 'use form_factors(..., method="analytic")'
             )
         core, moved = self._core.balance(available_bytes())
-        return FormFactors(core, self.scene, self.method, moved)
+        return FormFactors(core, self.scene, keep.Settings(self.method, self.tolerance, self.seed, moved))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes everything to a ``.npz`` file, which :func:`load_form_factors` reads, bit for bit, and numpy too.
+
+        An existing file is replaced only by a whole one. It takes no more bytes than :attr:`nbytes`, and 72 a patch for
+        the corners, by which scenes are told apart.
+
+        Raises:
+            ValueError: another ending than ``.npz``.
+            OSError: the file cannot be written.
+            MemoryError: the arrays of a sparse operator, which are copied, would not fit.
+        """
+        settings = keep.Settings(self.method, self.tolerance, self.seed, self.balanced_by)
+        keep.write(path, self._core, self.scene, settings)
 
     def __matmul__(self, x: Any) -> FloatArray:
         """F @ x for x of shape (n,) or (n, k): the irradiance that the radiosities x cause."""

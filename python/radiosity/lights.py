@@ -324,7 +324,7 @@ def lights_of(lights: Any, bands: int) -> tuple[Light, ...]:
     except TypeError:
         raise TypeError(f"lights must be lights, not {type(lights).__name__}") from None
     for k, light in enumerate(known):
-        if not isinstance(light, tuple(_STRENGTHS)):
+        if type(light) not in _STRENGTHS:
             raise TypeError(f"light {k} must be a Sun, Sky, PointLight or SpotLight, not {type(light).__name__}")
         width = strength(light).shape[-1]
         if width not in (1, bands):
@@ -341,6 +341,15 @@ def strength(light: Light) -> FloatArray:
 def spectra(lights: tuple[Light, ...]) -> FloatArray:
     """(k, b) all spectra of lights of as many bands, of every cell of a sky."""
     return np.vstack([strength(light).reshape(-1, strength(light).shape[-1]) for light in lights])
+
+
+def told(lights: tuple[Light, ...]) -> list[dict[str, Any]]:
+    """All that lights are, as plain numbers and words."""
+    return [
+        {"kind": type(light).__name__}
+        | {part.name: np.asarray(getattr(light, part.name)).tolist() for part in dataclasses.fields(light)}
+        for light in lights
+    ]
 
 
 def in_chosen_bands(lights: tuple[Light, ...], bands: Any) -> tuple[Light, ...]:

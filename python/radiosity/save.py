@@ -22,7 +22,7 @@ from .solution import EnergyAudit, Report, Solution, Step
 
 FORMATS = (".npz", ".glb", ".ply", ".vtu", ".vtk")
 # Of the layout of .npz files.
-_VERSION = 1
+VERSION = 1
 # With lights, which earlier versions would leave out in silence.
 _VERSION_WITH_LIGHTS = 2
 _MOST_TEXELS = 16384
@@ -118,6 +118,8 @@ def load_solution(path: str | os.PathLike[str]) -> Solution:
         raise ValueError(f"{path}: no saved solution; only the .npz files of save can be read again, whole")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            if "settings" in file.files:
+                raise ValueError("form factors: load_form_factors reads them")
             contents = {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: no such file") from None
@@ -151,7 +153,7 @@ def _contents(solution: Solution) -> dict[str, Any]:
         if part.name not in ("audit", "bound")
     }
     contents: dict[str, Any] = {
-        "version": np.int64(_VERSION_WITH_LIGHTS if solution.lights else _VERSION),
+        "version": np.int64(_VERSION_WITH_LIGHTS if solution.lights else VERSION),
         "radiosity": solution.radiosity,
         "irradiance": solution.irradiance,
         "standard_error": solution.standard_error,

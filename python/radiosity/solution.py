@@ -191,7 +191,7 @@ class Solution:
     """The scene with the emission and reflectance that were solved for; None for a matrix that the user brought."""
     system: System | None = None
     """The equation that was solved, where its form factors are at hand: by :func:`radiosity.solve_system` and
-    ``method="dense"``. None by other methods, and from a file or another process."""
+    ``method="dense"``. None by other methods, and from a file, a cache or another process."""
     elements: Solution | None = None
     """By ``"hierarchical"``: the same on the leaves of the tree of elements, as a mesh without T-junctions, whose
     ``.scene.parent`` names the patch of each face. None for other methods."""

@@ -10,25 +10,22 @@ import dataclasses
 import math
 import warnings
 from collections.abc import Iterable
+from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from . import _core
-from .arrays import (
-    FloatArray,
-    IntArray,
-    read_only,
-    real_number,
-    thread_count,
-    whole_number,
-)
+from .arrays import FloatArray, IntArray, read_only, real_number, seed_number, thread_count
+from .cache import Cache, folder_of, kept, solution_in
 from .form_factors import form_factors_as_reached
 from .glass import glass_hints
-from .lights import Light, core_lights, direct_irradiance, in_chosen_bands, lights_of, spectra
+from .lights import Light, core_lights, direct_irradiance, in_chosen_bands, lights_of, spectra, told
 from .memory import available_bytes
 from .progress import Progress, reporter
 from .report import listed
+from .save import load_solution, save
 from .scene import Scene
 from .solution import EnergyAudit, Forecast, Report, Solution, Step, System
 from .system import solve_system
@@ -58,6 +55,7 @@ def solve(
     seed: int = 0,
     threads: int | None = None,
     progress: Progress = True,
+    cache: Cache = None,
 ) -> Solution:
     """Solves a scene to a tolerance of the true error.
 
@@ -84,17 +82,22 @@ def solve(
         seed: of the quasi-random points.
         threads: None for all cores. The result is the same for any number.
         progress: see :mod:`radiosity.progress`.
+        cache: a folder in which solutions are kept, one file each, and taken from where mesh, materials, method,
+            tolerance and all else that changes the result are the same: bit for bit, with the report of the solve that
+            was made, but for its ``.system``. Of ``"dense"`` the form factors are kept, too, for other materials. None
+            keeps nothing.
 
     Raises:
         ValueError: an unknown method, a value out of range, or a scene without finite solution; but for ``"rays"``
             also a patch that repeats another one, whose light would count twice.
+        OSError: ``cache`` cannot be written to.
         MemoryError: the solution would not fit, with the estimate: before any work, or before the patches are cut.
             ``"hierarchical"`` raises it when not even the patches fit, and else stops where memory ends and says so.
 
     Warns:
         UserWarning: there is neither emission nor light; the scene's glass is nothing that light can be followed
             through (as :meth:`Scene.report` has it); or the tolerance was not met, and ``.error_estimate`` says what
-            was.
+            was. A file in ``cache`` is damaged, or could not be written, after which the result is as good as without.
 
     Sources:
         Keller, "Quasi-Monte Carlo radiosity" 1996; Zatz 1993 (linear radiosity on a patch); Heinrich 2001 (corrections
@@ -107,15 +110,40 @@ def solve(
         raise ValueError("method 'hierarchical' takes no lights; use 'rays' or 'dense'")
     if not (scene.emission.any() or (lit and spectra(lit).any())):
         warnings.warn("the scene has no emission: the answer is 0", UserWarning, stacklevel=2)
-    distinct, lit_distinct, bands = _distinct_bands(scene, lit)
-    if method == "hierarchical":
-        solution = _solve_hierarchical(distinct, tolerance, seed, threads, progress)
-    elif method == "dense":
-        solution = _solve_dense(distinct, lit_distinct, tolerance, seed, threads, progress)
-    else:
+    if method in ("auto", "rays"):
         for hint in glass_hints(scene, lambda patches: listed(patches, scene.names)):
             warnings.warn(hint, UserWarning, stacklevel=2)
-        solution = _solve_rays(distinct, lit_distinct, tolerance, order, refine, seed, threads, progress)
+    number, workers, folder = seed_number(seed), thread_count(threads), folder_of(cache)
+
+    def compute() -> Solution:
+        distinct, lit_distinct, bands = _distinct_bands(scene, lit)
+        if method == "hierarchical":
+            solution = _solve_hierarchical(distinct, tolerance, number, workers, progress)
+        elif method == "dense":
+            solution = _solve_dense(distinct, lit_distinct, tolerance, number, workers, progress, folder)
+        else:
+            solution = _solve_rays(distinct, lit_distinct, tolerance, order, refine, number, workers, progress)
+        return solution if distinct is scene else _in_all_bands(solution, scene, lit, bands)
+
+    if folder is None:
+        solution = compute()
+    else:
+        settings: dict[str, Any] = {
+            "method": method,
+            "tolerance": float(tolerance),
+            "seed": number,
+            "lights": told(lit),
+        }
+        if method in ("auto", "rays"):
+            settings |= {"method": "rays", "order": int(order), "refine": bool(refine)}
+        solution = kept(
+            solution_in(folder, scene, **settings),
+            lambda path: dataclasses.replace(load_solution(path), scene=scene),
+            compute,
+            save,
+            # With more memory it may come out better another time.
+            lambda solution: not solution.report.out_of_memory,
+        )
     if solution.error_estimate > tolerance:
         warnings.warn(
             f"the error is about {solution.error_estimate:.2g}, above the tolerance {tolerance:g}: "
@@ -123,7 +151,7 @@ def solve(
             UserWarning,
             stacklevel=2,
         )
-    return solution if distinct is scene else _in_all_bands(solution, scene, lit, bands)
+    return solution
 
 
 def _reason(report: Report) -> str:
@@ -168,7 +196,7 @@ def forecast(
             float(tolerance),
             order == 1,
             bool(refine),
-            whole_number("seed", seed, 0, 2**64 - 1),
+            seed_number(seed),
             available_bytes(),
             thread_count(threads),
             report,
@@ -246,7 +274,7 @@ def _solve_rays(
             float(tolerance),
             order == 1,
             bool(refine),
-            whole_number("seed", seed, 0, 2**64 - 1),
+            seed,
             available_bytes(),
             thread_count(threads),
             report,
@@ -285,7 +313,7 @@ def _solve_hierarchical(scene: Scene, tolerance: float, seed: int, threads: int 
         result = _core.solve_hierarchical(
             scene._core,
             float(tolerance),
-            whole_number("seed", seed, 0, 2**64 - 1),
+            seed,
             available_bytes(),
             thread_count(threads),
             report,
@@ -330,7 +358,13 @@ def _on_links(
 
 
 def _solve_dense(
-    scene: Scene, lights: tuple[Light, ...], tolerance: float, seed: int, threads: int | None, progress: Progress
+    scene: Scene,
+    lights: tuple[Light, ...],
+    tolerance: float,
+    seed: int,
+    threads: int | None,
+    progress: Progress,
+    folder: Path | None,
 ) -> Solution:
     row_tolerance = _FIRST_ROW_TOLERANCE * tolerance
     straight, emitting = _first_light(scene, lights, tolerance, seed, threads, progress)
@@ -338,7 +372,7 @@ def _solve_dense(
     segments = 0
     for attempt in range(_ATTEMPTS):
         start = perf_counter()
-        F = form_factors_as_reached(scene, max(min(row_tolerance, 0.5), 1e-8), "auto", seed, threads, progress)
+        F = form_factors_as_reached(scene, max(min(row_tolerance, 0.5), 1e-8), "auto", seed, threads, progress, folder)
         seconds["form factors"] += perf_counter() - start
         segments += F.segments
         solution = solve_system(
@@ -412,7 +446,7 @@ def _assessed(
             core_lights(solution.lights, scene.bands),
             np.ascontiguousarray(solution.irradiance),
             float(tolerance),
-            whole_number("seed", seed, 0, 2**64 - 1),
+            seed,
             available_bytes(),
             thread_count(threads),
             report,

@@ -17,6 +17,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
+use super::dense::is_error;
 use super::matrix::Compressed;
 use crate::error::{Error, Result};
 use crate::form_factor::Accuracy;
@@ -50,11 +51,24 @@ pub struct SampledOptions {
 
 /// What is known of the errors of the entries.
 #[derive(Debug, Clone)]
-enum Uncertainty {
+pub enum Uncertainty {
     /// Rays that each row rests on.
     Rays(Vec<u32>),
     /// The error of every entry, in the order of the rows.
     Entries(Vec<f64>),
+}
+
+/// All of sampled rows that neither their scene nor their place in it tells.
+#[derive(Debug, Clone)]
+pub struct KeptSampled {
+    /// The rows.
+    pub rows: Compressed,
+    /// Their errors.
+    pub uncertainty: Uncertainty,
+    /// Estimate of the largest row error.
+    pub error_estimate: f64,
+    /// Rays cast.
+    pub rays: u64,
 }
 
 /// Rows of the form factors of a scene, each sampled for itself.
@@ -64,10 +78,7 @@ pub struct Block {
     first: usize,
     /// Number of patches n.
     patches: usize,
-    rows: Compressed,
-    uncertainty: Uncertainty,
-    error_estimate: f64,
-    rays: u64,
+    kept: KeptSampled,
 }
 
 /// One row as it was found.
@@ -197,12 +208,35 @@ impl Block {
             Estimator::Hemicube => Uncertainty::Entries(error),
         };
         let rows = Compressed { start, index, value };
-        Block { first, patches, rows, uncertainty, error_estimate, rays: total }
+        Block { first, patches, kept: KeptSampled { rows, uncertainty, error_estimate, rays: total } }
+    }
+
+    /// All rows of a scene from what was kept of them.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for what cannot be of this scene, or of any.
+    pub(super) fn from_kept(scene: &Scene, kept: KeptSampled) -> Result<Block> {
+        scene.require_diffuse("a matrix of form factors")?;
+        let n = scene.len();
+        let KeptSampled { rows, uncertainty, error_estimate, .. } = &kept;
+        if rows.len() != n || !rows.index.iter().all(|&j| (j as usize) < n) {
+            return Err(Error::Invalid(format!("{} rows are not those of {n} patches", rows.len())));
+        }
+        let is_sound = match uncertainty {
+            Uncertainty::Rays(rays) => rays.len() == n && rays.iter().all(|&rays| rays > 0),
+            Uncertainty::Entries(errors) => {
+                errors.len() == rows.index.len() && errors.iter().all(|&error| is_error(error))
+            }
+        };
+        if !is_sound || !is_error(*error_estimate) {
+            return Err(Error::Invalid("the errors of the rows are not those of this matrix".to_string()));
+        }
+        Ok(Block { first: 0, patches: n, kept })
     }
 
     /// Number of rows.
     pub fn len(&self) -> usize {
-        self.rows.len()
+        self.kept.rows.len()
     }
 
     /// Whether there are no rows.
@@ -217,44 +251,49 @@ impl Block {
 
     /// Number of entries that are not 0.
     pub fn entries(&self) -> usize {
-        self.rows.index.len()
+        self.kept.rows.index.len()
     }
 
     /// Estimate of the largest row error max_i sum_j |dF_ij|: what is to be expected of Monte Carlo, the sum of both
     /// differences of a hemicube.
     pub fn error_estimate(&self) -> f64 {
-        self.error_estimate
+        self.kept.error_estimate
     }
 
     /// Rays cast.
     pub fn rays(&self) -> u64 {
-        self.rays
+        self.kept.rays
     }
 
     /// Bytes held.
     pub fn nbytes(&self) -> usize {
-        let uncertainty = match &self.uncertainty {
+        let uncertainty = match &self.kept.uncertainty {
             Uncertainty::Rays(rays) => size_of_val(rays.as_slice()),
             Uncertainty::Entries(errors) => size_of_val(errors.as_slice()),
         };
-        self.rows.nbytes() + uncertainty
+        self.kept.rows.nbytes() + uncertainty
     }
 
     /// The rows themselves.
     pub(super) fn rows(&self) -> &Compressed {
-        &self.rows
+        &self.kept.rows
+    }
+
+    /// All that neither the scene nor the place of the rows tells.
+    pub(super) fn kept(&self) -> &KeptSampled {
+        &self.kept
     }
 
     /// The irradiance of the patches of these rows, out = F x, `bands` numbers a patch. Same bits for any number of
     /// threads.
     pub fn apply(&self, x: &[f64], bands: usize, out: &mut [f64]) {
-        self.rows.apply(x, bands, out);
+        self.kept.rows.apply(x, bands, out);
     }
 
     /// Row k of the block: out_j = F_ij of patch i = first + k.
     pub fn row(&self, k: usize, out: &mut [f64]) {
         out.fill(0.0);
-        self.rows.scatter(k, &[1.0], out);
+        self.kept.rows.scatter(k, &[1.0], out);
     }
 
     /// Sum over j of F_ij for every row.
@@ -277,7 +316,7 @@ impl Block {
                 variance[k * bands + b] += (error * ((x[j * bands + b] - mean[k * bands + b]) / peak)).powi(2);
             }
         });
-        if let Uncertainty::Rays(rays) = &self.uncertainty {
+        if let Uncertainty::Rays(rays) = &self.kept.uncertainty {
             for (k, (variance, sum)) in
                 variance.iter_mut().zip(self.nobody().iter().flat_map(|s| vec![*s; bands])).enumerate()
             {
@@ -304,7 +343,7 @@ impl Block {
                 out[k * bands + b] += signed * (x[j * bands + b] - mean[k * bands + b]);
             }
         });
-        if let Uncertainty::Rays(rays) = &self.uncertainty {
+        if let Uncertainty::Rays(rays) = &self.kept.uncertainty {
             for (k, nobody) in self.nobody().into_iter().enumerate() {
                 let signed = sign(!((self.first + k) as u64)) * (nobody / f64::from(rays[k])).sqrt();
                 for b in 0..bands {
@@ -318,9 +357,9 @@ impl Block {
     /// Calls `visit(row of the block, j, e_ij, number of the entry)` for every entry, with the standard error e_ij.
     fn for_each_entry(&self, mut visit: impl FnMut(usize, usize, f64, usize)) {
         for k in 0..self.len() {
-            let first = self.rows.start[k];
-            for (place, (j, f)) in self.rows.row(k).enumerate() {
-                let error = match &self.uncertainty {
+            let first = self.kept.rows.start[k];
+            for (place, (j, f)) in self.kept.rows.row(k).enumerate() {
+                let error = match &self.kept.uncertainty {
                     Uncertainty::Rays(rays) => (f / f64::from(rays[k])).sqrt(),
                     Uncertainty::Entries(errors) => errors[first + place],
                 };
@@ -332,7 +371,7 @@ impl Block {
     /// What the errors are measured from: the mean of counted rays; 0 where every entry has an error of its own.
     fn mean(&self, x: &[f64], bands: usize) -> Vec<f64> {
         let mut mean = vec![0.0; self.len() * bands];
-        if matches!(self.uncertainty, Uncertainty::Rays(_)) {
+        if matches!(self.kept.uncertainty, Uncertainty::Rays(_)) {
             self.apply(x, bands, &mut mean);
         }
         mean

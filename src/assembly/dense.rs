@@ -14,7 +14,7 @@ use super::hidden::{Blockers, Candidate, improve, settle};
 use super::matrix::add_scaled;
 use super::tiles;
 use super::triangle::{Builder, Pattern, Row};
-use super::{FormFactors, apply_reciprocal};
+use super::{FormFactors, Numbers, apply_reciprocal};
 use crate::error::{Error, Result};
 use crate::form_factor::shadow::Shadows;
 use crate::form_factor::{Accuracy, Batch, Patch};
@@ -37,23 +37,37 @@ pub struct DenseOptions {
 
 /// The sampling error that is left in one pair.
 #[derive(Debug, Clone, Copy)]
-struct Uncertain {
-    i: u32,
-    j: u32,
+pub struct Uncertain {
+    /// One patch.
+    pub i: u32,
+    /// The other, with the lower number.
+    pub j: u32,
     /// Standard error of G_ij, m^2.
-    standard_error: f64,
+    pub standard_error: f64,
+}
+
+/// All of a dense operator that its scene does not tell.
+#[derive(Debug, Clone)]
+pub struct KeptDense {
+    /// Which pairs have an entry.
+    pub pattern: Pattern,
+    /// Of these G_ij, m^2, row by row.
+    pub exchange: Numbers,
+    /// Pairs whose visibility was sampled.
+    pub uncertain: Vec<Uncertain>,
+    /// Bound on the relative error of the kernels.
+    pub kernel_error: f64,
+    /// Estimate of the largest row error.
+    pub error_estimate: f64,
+    /// Segments cast.
+    pub segments: u64,
 }
 
 /// Dense symmetric form factors of a scene.
 #[derive(Debug, Clone)]
 pub struct Dense {
     areas: Vec<f64>,
-    pattern: Pattern,
-    exchange: Vec<f64>,
-    uncertain: Vec<Uncertain>,
-    kernel_error: f64,
-    error_estimate: f64,
-    segments: u64,
+    kept: KeptDense,
 }
 
 /// Share of the row tolerance that goes to the unoccluded kernels: a small one, because they are cheap and their error,
@@ -135,36 +149,82 @@ impl Dense {
             *g *= c.visible;
         }
         uncertain.shrink_to_fit();
-        let (kernel_error, areas) = (accuracy.tolerance(), scene.areas().to_vec());
-        let (error_estimate, segments) = (kernel_error + visibility_error, segments + more);
-        Ok(Dense { areas, pattern, exchange, uncertain, kernel_error, error_estimate, segments })
+        let kernel_error = accuracy.tolerance();
+        let kept = KeptDense {
+            pattern,
+            exchange: Numbers::of(exchange),
+            uncertain,
+            kernel_error,
+            error_estimate: kernel_error + visibility_error,
+            segments: segments + more,
+        };
+        Ok(Dense { areas: scene.areas().to_vec(), kept })
+    }
+
+    /// The operator of a scene from what was kept of it. The exchange is taken as it is, and not looked at.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for what cannot be of this scene, or of any.
+    pub fn from_kept(scene: &Scene, kept: KeptDense) -> Result<Dense> {
+        scene.require_diffuse("a matrix of form factors")?;
+        let n = scene.len();
+        let KeptDense { pattern, exchange, uncertain, kernel_error, error_estimate, .. } = &kept;
+        if pattern.patches() != n {
+            let found = pattern.patches();
+            return Err(Error::Invalid(format!("the exchange of {found} patches is not that of {n}")));
+        }
+        if exchange.len() != pattern.len() {
+            let (found, wanted) = (exchange.len(), pattern.len());
+            return Err(Error::Invalid(format!("the exchange of {n} patches has {wanted} entries, not {found}")));
+        }
+        if let Some(k) = uncertain.iter().position(|u| !(u.j < u.i && (u.i as usize) < n && is_error(u.standard_error)))
+        {
+            let Uncertain { i, j, standard_error } = uncertain[k];
+            return Err(Error::Invalid(format!(
+                "uncertain pair {k}, of the patches {i} and {j} with the standard error {standard_error}, is none of {n} \
+                 patches"
+            )));
+        }
+        if ![*kernel_error, *error_estimate].into_iter().all(is_error) {
+            return Err(Error::Invalid(format!(
+                "the errors {kernel_error} of the kernels and {error_estimate} of the rows are not both numbers from 0"
+            )));
+        }
+        Ok(Dense { areas: scene.areas().to_vec(), kept })
+    }
+
+    /// All that the scene does not tell.
+    pub fn kept(&self) -> &KeptDense {
+        &self.kept
     }
 
     /// Estimate of the largest row error max_i sum_j |dF_ij|: the kernels' bound plus the error
     /// that is estimated of every visible fraction.
     pub fn error_estimate(&self) -> f64 {
-        self.error_estimate
+        self.kept.error_estimate
     }
 
     /// Segments cast.
     pub fn segments(&self) -> u64 {
-        self.segments
+        self.kept.segments
     }
 
     /// Calls `visit(j, G_ij)` for all that patch i exchanges with, in the order of j.
     #[inline]
     fn partners(&self, i: usize, mut visit: impl FnMut(usize, f64)) {
-        self.pattern.partners(i, |j, place| visit(j, self.exchange[place]));
+        let (pattern, exchange) = self.exchange();
+        pattern.partners(i, |j, place| visit(j, exchange[place]));
     }
 
     /// The entries of G, m^2, and their places.
     pub(super) fn exchange(&self) -> (&Pattern, &[f64]) {
-        (&self.pattern, &self.exchange)
+        (&self.kept.pattern, &self.kept.exchange)
     }
 
     /// The same operator with another exchange, whose rows are off by no more than `error_estimate`.
     pub(super) fn with_exchange(&self, exchange: Vec<f64>, error_estimate: f64) -> Dense {
-        Dense { exchange, error_estimate, ..self.clone() }
+        let exchange = Numbers::of(exchange);
+        Dense { areas: self.areas.clone(), kept: KeptDense { exchange, error_estimate, ..self.kept.clone() } }
     }
 }
 
@@ -193,11 +253,12 @@ impl FormFactors for Dense {
     /// the arithmetic that takes the time, which is then that of products of matrices.
     fn apply(&self, x: &[f64], bands: usize, out: &mut [f64]) {
         let n = self.areas.len();
+        let (pattern, exchange) = self.exchange();
         if bands >= MANY_COLUMNS {
             let fill = |i: usize, columns: Range<usize>, row: &mut [f64]| {
                 row.fill(0.0);
                 let first = columns.start;
-                self.pattern.within(i, columns, |j, place| row[j - first] = self.exchange[place]);
+                pattern.within(i, columns, |j, place| row[j - first] = exchange[place]);
             };
             tiles::apply(n, x, bands, out, fill);
             out.iter_mut().enumerate().for_each(|(k, out)| *out /= self.areas[k / bands]);
@@ -212,8 +273,8 @@ impl FormFactors for Dense {
                 for i in bound(part)..bound(part + 1) {
                     let (before, from) = sums.split_at_mut(i * bands);
                     let (sum_i, x_i) = (&mut from[..bands], &x[i * bands..][..bands]);
-                    self.pattern.lower(i, |j, place| {
-                        let g = self.exchange[place];
+                    pattern.lower(i, |j, place| {
+                        let g = exchange[place];
                         if g != 0.0 {
                             add_scaled(g, &x[j * bands..][..bands], sum_i);
                             add_scaled(g, x_i, &mut before[j * bands..][..bands]);
@@ -238,17 +299,17 @@ impl FormFactors for Dense {
     }
 
     fn kernel_error(&self) -> f64 {
-        self.kernel_error
+        self.kept.kernel_error
     }
 
     fn standard_error(&self, x: &[f64], bands: usize) -> Option<Vec<f64>> {
-        if self.uncertain.is_empty() {
+        if self.kept.uncertain.is_empty() {
             return None;
         }
         // In units of the largest, squares neither overflow nor vanish.
         let peak = x.iter().fold(f64::MIN_POSITIVE, |peak, x| x.abs().max(peak));
         let mut variance = vec![0.0; self.areas.len() * bands];
-        for u in &self.uncertain {
+        for u in &self.kept.uncertain {
             let (i, j) = (u.i as usize, u.j as usize);
             for b in 0..bands {
                 variance[i * bands + b] += (u.standard_error / self.areas[i] * (x[j * bands + b] / peak)).powi(2);
@@ -259,11 +320,11 @@ impl FormFactors for Dense {
     }
 
     fn sampling_error(&self, x: &[f64], bands: usize, draw: u64) -> Option<Vec<f64>> {
-        if self.uncertain.is_empty() {
+        if self.kept.uncertain.is_empty() {
             return None;
         }
         let mut out = vec![0.0; self.areas.len() * bands];
-        for (k, u) in self.uncertain.iter().enumerate() {
+        for (k, u) in self.kept.uncertain.iter().enumerate() {
             // A random sign has the variance 1, which is all that a sum of many needs.
             let sign = if hash(draw ^ hash(k as u64)) & 1 == 0 { 1.0 } else { -1.0 };
             let (i, j) = (u.i as usize, u.j as usize);
@@ -276,11 +337,17 @@ impl FormFactors for Dense {
     }
 
     fn nbytes(&self) -> usize {
-        self.pattern.nbytes()
-            + size_of_val(self.exchange.as_slice())
+        let (pattern, exchange) = self.exchange();
+        pattern.nbytes()
+            + size_of_val(exchange)
             + size_of_val(self.areas.as_slice())
-            + size_of_val(self.uncertain.as_slice())
+            + size_of_val(self.kept.uncertain.as_slice())
     }
+}
+
+/// Whether this can be an error.
+pub(super) fn is_error(value: f64) -> bool {
+    (0.0..f64::INFINITY).contains(&value)
 }
 
 /// Pairs i > j of `n` patches.

@@ -68,13 +68,37 @@ impl FormFactors for DenseMatrix {
 
 /// Compressed rows: row i holds entries `start[i] .. start[i + 1]`.
 #[derive(Debug, Clone)]
-pub(super) struct Compressed {
+pub struct Compressed {
     pub(super) start: Vec<usize>,
     pub(super) index: Vec<u32>,
     pub(super) value: Vec<f64>,
 }
 
 impl Compressed {
+    /// From the three arrays of compressed sparse rows (CSR) of a square matrix.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when the arrays do not fit together, or an entry is outside [0, 1].
+    pub fn square(start: Vec<usize>, index: Vec<u32>, value: Vec<f64>) -> Result<Compressed> {
+        let n = start.len().saturating_sub(1);
+        let fits = start.first() == Some(&0)
+            && start.windows(2).all(|w| w[0] <= w[1])
+            && start.last() == Some(&index.len())
+            && index.len() == value.len()
+            && index.iter().all(|&j| (j as usize) < n);
+        if !fits {
+            return Err(Error::Invalid("the sparse arrays do not describe a square matrix in CSR form".to_string()));
+        }
+        let rows = Compressed { start, index, value };
+        check_entries((0..n).flat_map(|i| rows.row(i).map(move |(j, f)| (i, j, f))))?;
+        Ok(rows)
+    }
+
+    /// The three arrays: starts, columns and values.
+    pub fn parts(&self) -> (&[usize], &[u32], &[f64]) {
+        (&self.start, &self.index, &self.value)
+    }
+
     /// Number of rows.
     pub(super) fn len(&self) -> usize {
         self.start.len() - 1
@@ -145,17 +169,7 @@ impl SparseMatrix {
     /// # Errors
     /// [`Error::Invalid`] when the arrays do not fit together, or an entry is outside [0, 1].
     pub fn new(start: Vec<usize>, index: Vec<u32>, value: Vec<f64>) -> Result<SparseMatrix> {
-        let n = start.len().saturating_sub(1);
-        let fits = start.first() == Some(&0)
-            && start.windows(2).all(|w| w[0] <= w[1])
-            && start.last() == Some(&index.len())
-            && index.len() == value.len()
-            && index.iter().all(|&j| (j as usize) < n);
-        if !fits {
-            return Err(Error::Invalid("the sparse arrays do not describe a square matrix in CSR form".to_string()));
-        }
-        let rows = Compressed { start, index, value };
-        check_entries((0..n).flat_map(|i| rows.row(i).map(move |(j, f)| (i, j, f))))?;
+        let rows = Compressed::square(start, index, value)?;
         let columns = rows.transposed();
         Ok(SparseMatrix { rows, columns })
     }

@@ -9,6 +9,7 @@
 //! - [`tiles`]: the product of a symmetric matrix with many columns
 //! - [`hidden`]: how much of each pair is visible, and where work is spent
 //! - [`matrix`]: matrices that the user brings, dense or sparse
+//! - [`numbers`]: the numbers of the largest arrays, in whose memory they may be
 //! - [`balance`]: row sums, remainder, reciprocity, and the repair of the first
 
 pub mod balance;
@@ -16,17 +17,20 @@ mod block;
 pub mod dense;
 mod hidden;
 pub mod matrix;
+pub mod numbers;
 pub mod operator;
 pub mod rays;
 pub mod sampled;
 mod tiles;
 mod triangle;
 
-pub use block::{Block, Estimator, SampledOptions};
-pub use dense::{Dense, DenseOptions};
+pub use block::{Block, Estimator, KeptSampled, SampledOptions, Uncertainty};
+pub use dense::{Dense, DenseOptions, KeptDense, Uncertain};
 pub use hidden::Blockers;
 pub(crate) use hidden::{Candidate, settle};
+pub use numbers::Numbers;
 pub(crate) use operator::apply_reciprocal;
 pub use operator::{FormFactors, Transposed};
 pub use rays::{Order, Rays, Trips};
 pub use sampled::Sampled;
+pub use triangle::Pattern;

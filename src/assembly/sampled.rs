@@ -6,7 +6,7 @@
 //! [`super::block`].
 
 use super::FormFactors;
-use super::block::{self, Block, Estimator, SampledOptions};
+use super::block::{self, Block, Estimator, KeptSampled, SampledOptions};
 use super::matrix::Compressed;
 use crate::error::Result;
 use crate::progress::Progress;
@@ -37,8 +37,25 @@ impl Sampled {
         let n = scene.len();
         block::check(scene, n, &options)?;
         let block = Block::held(scene, &Bvh::of_scene(scene), estimator, options, 0..n, 2, progress)?;
+        Ok(Sampled::of_block(scene, block))
+    }
+
+    fn of_block(scene: &Scene, block: Block) -> Sampled {
         let columns = block.rows().transposed();
-        Ok(Sampled { areas: scene.areas().to_vec(), block, columns })
+        Sampled { areas: scene.areas().to_vec(), block, columns }
+    }
+
+    /// The operator of a scene from what was kept of it.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] for what cannot be of this scene, or of any.
+    pub fn from_kept(scene: &Scene, kept: KeptSampled) -> Result<Sampled> {
+        Ok(Sampled::of_block(scene, Block::from_kept(scene, kept)?))
+    }
+
+    /// All that the scene does not tell.
+    pub fn kept(&self) -> &KeptSampled {
+        self.block.kept()
     }
 
     /// Estimate of the largest row error: [`Block::error_estimate`].

@@ -7,12 +7,12 @@
 
 use std::ops::Range;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::memory::{filled, room};
 
 /// Which pairs i > j have an entry, and where its value is.
 #[derive(Debug, Clone)]
-pub(super) struct Pattern {
+pub struct Pattern {
     n: usize,
     entries: Option<Entries>,
 }
@@ -38,8 +38,63 @@ fn row_start(i: usize) -> usize {
 
 impl Pattern {
     /// Of every pair of `n` patches.
-    pub(super) fn whole(n: usize) -> Pattern {
+    pub fn whole(n: usize) -> Pattern {
         Pattern { n, entries: None }
+    }
+
+    /// Of some pairs of `n` patches: row i has those with the columns `column[start[i] .. start[i + 1]]`.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when the starts are not those of n rows of the columns, or the columns of a row do not ascend below its
+    /// number; [`Error::OutOfMemory`].
+    pub fn from_entries(n: usize, start: Vec<usize>, column: Vec<u32>) -> Result<Pattern> {
+        let is_sound = start.len() == n + 1
+            && start.first() == Some(&0)
+            && start.windows(2).all(|w| w[0] <= w[1])
+            && start.last() == Some(&column.len())
+            && u32::try_from(column.len()).is_ok();
+        if !is_sound {
+            let (starts, count) = (start.len(), column.len());
+            return Err(Error::Invalid(format!(
+                "the {starts} starts of {n} rows do not ascend from 0 to {count} columns"
+            )));
+        }
+        for i in 0..n {
+            let row = &column[start[i]..start[i + 1]];
+            if !(row.windows(2).all(|w| w[0] < w[1]) && row.last().is_none_or(|&j| (j as usize) < i)) {
+                return Err(Error::Invalid(format!("row {i}: its columns do not ascend below {i}")));
+            }
+        }
+        let mut down = filled(n + 1, 0)?;
+        column.iter().for_each(|&j| down[j as usize + 1] += 1);
+        for j in 0..n {
+            down[j + 1] += down[j];
+        }
+        let mut next = down.clone();
+        let (mut row, mut place) = (filled(column.len(), 0u32)?, filled(column.len(), 0u32)?);
+        for i in 0..n {
+            for k in start[i]..start[i + 1] {
+                let to = &mut next[column[k] as usize];
+                (row[*to], place[*to]) = (i as u32, k as u32);
+                *to += 1;
+            }
+        }
+        Ok(Pattern { n, entries: Some(Entries { start, column, down, row, place }) })
+    }
+
+    /// Where the rows start among the columns, and the columns; `None` where every pair has an entry.
+    pub fn entries(&self) -> Option<(&[usize], &[u32])> {
+        self.entries.as_ref().map(|entries| (entries.start.as_slice(), entries.column.as_slice()))
+    }
+
+    /// Number of patches.
+    pub(super) fn patches(&self) -> usize {
+        self.n
+    }
+
+    /// Number of entries.
+    pub(super) fn len(&self) -> usize {
+        self.entries.as_ref().map_or(row_start(self.n), |entries| entries.column.len())
     }
 
     /// The places of row i.
@@ -149,7 +204,7 @@ impl Builder {
     /// Adds the next row.
     ///
     /// # Errors
-    /// [`crate::Error::OutOfMemory`].
+    /// [`Error::OutOfMemory`].
     pub(super) fn add(&mut self, row: Row) -> Result<()> {
         let Row { column, value } = row;
         self.entries += value.iter().filter(|g| **g != 0.0).count();
@@ -182,7 +237,7 @@ impl Builder {
     /// The triangle of all rows, with its values.
     ///
     /// # Errors
-    /// [`crate::Error::OutOfMemory`].
+    /// [`Error::OutOfMemory`].
     pub(super) fn finish(self) -> Result<(Pattern, Vec<f64>)> {
         if self.keeps_all() { self.with_all() } else { self.with_entries() }
     }
@@ -197,7 +252,7 @@ impl Builder {
     fn with_all(mut self) -> Result<(Pattern, Vec<f64>)> {
         let n = self.ends.len();
         let missing = row_start(n) - self.value.len();
-        self.value.try_reserve_exact(missing).map_err(|_| crate::Error::OutOfMemory)?;
+        self.value.try_reserve_exact(missing).map_err(|_| Error::OutOfMemory)?;
         self.value.resize(row_start(n), 0.0);
         for i in (0..n).rev() {
             let [columns, values] = self.row(i);
@@ -241,25 +296,11 @@ impl Builder {
         let mut value = self.value;
         value.truncate(column.len());
         value.shrink_to_fit();
-        let mut down = filled(n + 1, 0)?;
-        column.iter().for_each(|&j| down[j as usize + 1] += 1);
-        for j in 0..n {
-            down[j + 1] += down[j];
-        }
-        let mut next = down.clone();
-        let (mut row, mut place) = (filled(column.len(), 0u32)?, filled(column.len(), 0u32)?);
-        for i in 0..n {
-            for k in start[i]..start[i + 1] {
-                let to = &mut next[column[k] as usize];
-                (row[*to], place[*to]) = (i as u32, k as u32);
-                *to += 1;
-            }
-        }
-        Ok((Pattern { n, entries: Some(Entries { start, column, down, row, place }) }, value))
+        Ok((Pattern::from_entries(n, start, column)?, value))
     }
 }
 
 /// Room for some more.
 fn grow<T>(values: &mut Vec<T>, more: usize) -> Result<()> {
-    values.try_reserve(more).map_err(|_| crate::Error::OutOfMemory)
+    values.try_reserve(more).map_err(|_| Error::OutOfMemory)
 }

@@ -80,6 +80,16 @@ impl Links {
         (self.tree, self.found)
     }
 
+    /// A number that is another one for another tree, or another order of its nodes: what links are worth nothing without.
+    pub fn tree_mark(&self) -> u64 {
+        let of_nodes = self.tree.nodes.iter().flat_map(|node| {
+            let (first, last) = (u64::from(node.patches.start), u64::from(node.patches.end));
+            [node.area.to_bits(), first, last, u64::from(node.level)]
+        });
+        let of_patches = self.tree.sorted.iter().chain(&self.tree.node_of).map(|&k| u64::from(k));
+        self.layout.words().chain(of_nodes).chain(of_patches).fold(0, |mark, word| hash(mark ^ word))
+    }
+
     /// The leaf and the function of every row.
     pub fn rows(&self) -> &[(u32, u32)] {
         &self.rows

@@ -27,5 +27,5 @@ pub mod solver;
 pub mod tree;
 
 pub use links::Links;
-pub use operator::{HierarchicalOptions, Reached, form_factors};
+pub use operator::{HierarchicalOptions, Reached, form_factors, from_kept};
 pub use solver::Solver;

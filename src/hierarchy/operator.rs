@@ -4,13 +4,13 @@
 //! is within the tolerance: sum over j of |dF_ij|. Pairs of patches between which something may stand are
 //! settled by [`crate::assembly`]'s shadows and segments, like those of the dense operator.
 
-use super::link::Found;
+use super::link::{Found, NO_MATRIX};
 use super::links::Links;
 use super::oracle::Visibility;
 use super::refine::{Done, Goal, Refinement};
 use super::tree::Tree;
 use crate::assembly::{Blockers, Candidate, Order, settle};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::form_factor::{Accuracy, Patch};
 use crate::memory::room;
 use crate::progress::Progress;
@@ -125,6 +125,43 @@ pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Pro
     let (segments, hidden) = settle_patches(scene, &blockers, &mut links, left, options.seed, progress)?;
     let reached = Reached { error_estimate: accuracy.tolerance() + above + hidden, segments: done.segments + segments };
     Ok((links, reached))
+}
+
+/// The links of a scene from what was kept of them; the tree is built again, and has to come out as it was (`tree_mark`).
+///
+/// # Errors
+/// [`Error::Invalid`] for what cannot be of this scene, or of any.
+pub fn from_kept(scene: &Scene, found: Found, tree_mark: u64, reached: &Reached) -> Result<Links> {
+    scene.require_diffuse("hierarchical radiosity")?;
+    let blockers = Blockers::of_scene(scene);
+    let tree = Tree::new(scene, &blockers.bodies, Order::Constant);
+    let is_error = |value: f64| (0.0..f64::INFINITY).contains(&value);
+    for (k, link) in found.links.iter().enumerate() {
+        let ends = [link.p, link.q].map(|k| tree.nodes.get(k as usize));
+        let [Some(p), Some(q)] = ends else {
+            let (p, q, count) = (link.p, link.q, tree.nodes.len());
+            return Err(Error::Invalid(format!("link {k} is of the nodes {p} and {q}, and there are {count}")));
+        };
+        let size = p.functions.len() * q.functions.len();
+        if link.at != NO_MATRIX && link.at.checked_add(size).is_none_or(|end| end > found.matrices.len()) {
+            return Err(Error::Invalid(format!("link {k} has no matrix of {size} numbers from {}", link.at)));
+        }
+        if ![link.exchange.error(), link.exchange.occluded()].into_iter().all(f64::is_finite) {
+            return Err(Error::Invalid(format!("link {k} has an exchange or an error that is not finite")));
+        }
+    }
+    if !found.matrices.iter().all(|s| s.is_finite()) || !is_error(reached.error_estimate) {
+        return Err(Error::Invalid("the matrices of the links and their error are not all finite numbers".to_string()));
+    }
+    let links = Links::new(tree, found);
+    if links.tree_mark() != tree_mark {
+        return Err(Error::Invalid(
+            "the tree over the patches does not come out as it was, on this machine or by this version: compute the form \
+             factors again"
+                .to_string(),
+        ));
+    }
+    Ok(links)
 }
 
 fn worst_leaf(links: &Links, errors: &[f64]) -> f64 {

@@ -103,6 +103,12 @@ impl Layout {
         std::iter::successors(Some(number), |&k| (self.parents[k] != NONE).then_some(self.parents[k] as usize))
     }
 
+    /// All that products take from here, to be told apart from another layout.
+    pub(super) fn words(&self) -> impl Iterator<Item = u64> + '_ {
+        let parents = self.parents.iter().map(|&k| u64::from(k));
+        self.start.iter().map(|&k| k as u64).chain(parents).chain(self.push.iter().map(|value| value.to_bits()))
+    }
+
     /// Bytes held.
     pub fn nbytes(&self) -> usize {
         size_of_val(self.start.as_slice())

@@ -11,6 +11,7 @@ mod error;
 mod form_factor;
 mod hierarchy;
 mod instant;
+mod mapped;
 mod remote;
 mod render;
 mod reserve;
