@@ -18,7 +18,7 @@ import numpy as np
 
 from . import _core
 from .arrays import FloatArray, IntArray, read_only, real_number, seed_number, thread_count
-from .cache import Cache, folder_of, kept, solution_in
+from .cache import Cache, folder_of, is_of, kept, solution_in
 from .form_factors import form_factors_as_reached
 from .glass import glass_hints
 from .lights import Light, core_lights, direct_irradiance, in_chosen_bands, lights_of, spectra, told
@@ -136,9 +136,16 @@ def solve(
         }
         if method in ("auto", "rays"):
             settings |= {"method": "rays", "order": int(order), "refine": bool(refine)}
+
+        def load(path: Path) -> Solution:
+            found = load_solution(path)
+            if not is_of(found, scene):
+                raise ValueError(f"{path}: of another scene")
+            return dataclasses.replace(found, scene=scene)
+
         solution = kept(
             solution_in(folder, scene, **settings),
-            lambda path: dataclasses.replace(load_solution(path), scene=scene),
+            load,
             compute,
             save,
             # With more memory it may come out better another time.
