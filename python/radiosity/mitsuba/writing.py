@@ -1,4 +1,4 @@
-"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters, mirrors and glass, and lights that are no patches."""
+"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters, mirrors and glass, lights that are no patches."""
 
 from __future__ import annotations
 
