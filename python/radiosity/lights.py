@@ -317,14 +317,14 @@ def sky_coefficients(
 
 def lights_of(lights: Any, bands: int) -> tuple[Light, ...]:
     """The lights as a tuple, their strengths spread over so many bands; ``TypeError`` or ``ValueError`` by number."""
-    if isinstance(lights, tuple(_STRENGTHS)):
+    if isinstance(lights, (Sun, Sky, PointLight, SpotLight)):
         lights = (lights,)
     try:
-        known: tuple[Any, ...] = tuple(lights)
+        known = tuple(lights)
     except TypeError:
         raise TypeError(f"lights must be lights, not {type(lights).__name__}") from None
     for k, light in enumerate(known):
-        if type(light) not in _STRENGTHS:
+        if not isinstance(light, (Sun, Sky, PointLight, SpotLight)):
             raise TypeError(f"light {k} must be a Sun, Sky, PointLight or SpotLight, not {type(light).__name__}")
         width = strength(light).shape[-1]
         if width not in (1, bands):

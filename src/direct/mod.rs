@@ -13,7 +13,7 @@
 //! - `mirrors`: lamps seen in flat mirrors; `flat_parts`: patches of one kind merged to polygons
 //! - [`patches`]: their light averaged over patches, to an accuracy
 //! - [`lights`]: light that no patch emits: suns, points and spots, and [`sky`]; [`lighting`]: the same averaged over patches;
-//!   [`irradiance`]: to a tolerance
+//!   [`mod@irradiance`]: to a tolerance
 
 pub mod caustics;
 mod flat_parts;

@@ -3,8 +3,8 @@
 //!
 //!   L = (E + rho (H_direct + H_indirect)) / pi
 //!
-//! H_direct is what lamps, and lights that are no patches ([`crate::direct::lights`]), send there. A tile of the image knows from earlier segments how much c_l of each lamp is seen; a point
-//! asks one lamp more, with probability p_l, at a random place z with weight w ([`crate::direct::lamp`]):
+//! H_direct is what lamps, and lights that are no patches ([`crate::direct::lights`]), send there. A tile of the image knows from
+//! earlier segments how much c_l of each lamp is seen; a point asks one lamp more, with probability p_l, at a random place z with weight w ([`crate::direct::lamp`]):
 //!
 //!   H_direct ~ sum over l of c_l E_l F_l  +  E_l w / p_l (V - c_l),    mean over V:  sum over l of E_l integral of V K
 //!

@@ -1,4 +1,4 @@
-"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters, mirrors, glass, and lights that are no patches."""
+"""Scenes to Mitsuba: triangles, diffuse reflectance, area emitters, mirrors and glass, lights that are no patches."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def _rgb(values: FloatArray) -> dict[str, Any]:
 
 
 def _sky(mi: Any, sky: Sky, unit: float) -> dict[str, Any]:
-    """Return a `constant` or an `envmap`, whose own zenith is +y and whose azimuth 0 is -z, clockwise from above."""
+    """Return a `constant` or an `envmap`: its own zenith is +y, its azimuth 0 is -z, clockwise from above."""
     if sky.distribution == "constant":
         return {"type": "constant", "radiance": _rgb(sky.radiance / unit)}
     # Rows of pixels lie at the polar angles pi r / (R - 1), columns in the middle of theirs.
