@@ -393,7 +393,8 @@ class FormFactors:
     def __matmul__(self, x: Any) -> FloatArray:
         """F @ x for x of shape (n,) or (n, k): the irradiance that the radiosities x cause."""
         columns, shape = vectors("x", x, self.shape[0])
-        return self._core.apply(columns).reshape(shape)
+        # Of no columns there is no product.
+        return self._core.apply(columns).reshape(shape) if columns.size else np.zeros(shape)
 
     def row(self, i: int) -> FloatArray:
         """(n,) row i: where the light of patch i goes. Raises ``IndexError`` when there is no such patch."""
