@@ -297,7 +297,9 @@ TABLES: dict[str, Callable[[float], None]] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=TABLES, action="append", help="one of the tables; may be given more than once")
+    parser.add_argument(
+        "--only", choices=TABLES, action="append", help="one of the tables; may be given more than once"
+    )
     parser.add_argument("--limit", type=float, default=1800.0, help="seconds that one measurement may take")
     given = parser.parse_args()
     for name in given.only or TABLES:

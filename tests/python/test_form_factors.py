@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import radiosity as rad
-from radiosity.scenes.builder import Builder
 import references
+from radiosity.scenes.builder import Builder
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 CASES = json.loads((DATA / "view_factors.json").read_text(encoding="utf-8"))
