@@ -1,7 +1,7 @@
 """Prints time, memory and error on one machine where n is large: a city, a crater, a theatre of a million triangles.
 
-Every measurement runs in a process of its own, whose peak of memory is that of the work and nothing else. "CPU" is user plus
-system time of all threads, divided by two: what two cores that do nothing else would need at least.
+Every measurement runs in a process of its own, whose peak of memory is that of the work and nothing else. "CPU" is user
+plus system time of all threads, divided by two: what two cores that do nothing else would need at least.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import multiprocessing
 import resource
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -49,7 +50,7 @@ def city(blocks: int = 9, cell: float = 2.0) -> rad.Scene:
         emission.append(np.full(len(triangles), 100.0 if np.cross(u, v)[1] < 0 else 0.0))
 
     x, y, z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
-    down, back, left = (0, 0, -1), (0, -1, 0), (-1, 0, 0)
+    back, left = (0, -1, 0), (-1, 0, 0)
     for p in range(blocks):
         for q in range(blocks):
             x0, y0 = p * pitch, q * pitch
@@ -73,8 +74,8 @@ def city(blocks: int = 9, cell: float = 2.0) -> rad.Scene:
 def crater(rings: int = 32, bowl: int = 25, width: float = 6.24, outermost: int | None = 198) -> rad.Scene:
     """A crater in a plain: a part of a sphere five times as wide as it is deep (Ingersoll et al. 1992); 6,386 facets.
 
-    Ring r holds about `width` r points; `outermost` of them on the last one make the number of facets. The first `bowl` rings
-    lie in the crater, where every facet sees every other; the plain sees nothing but the sky.
+    Ring r holds about `width` r points; `outermost` of them on the last one make the number of facets. The first `bowl`
+    rings lie in the crater, where every facet sees every other; the plain sees nothing but the sky.
     """
     counts = [1] + [round(width * r) for r in range(1, rings + 1)]
     if outermost is not None:
@@ -96,7 +97,7 @@ def crater(rings: int = 32, bowl: int = 25, width: float = 6.24, outermost: int 
         a, b, c = points[list(triangle)]
         return float(np.cross(b - a, c - a) @ (points[point] - a))
 
-    for inner, outer in zip(rows[:-1], rows[1:], strict=True):
+    for inner, outer in pairwise(rows):
         i, o = 0, 0
         steps = len(inner) if len(inner) > 1 else 0
         while i < steps or o < len(outer):
