@@ -99,7 +99,8 @@ def form_factors(
         method: ``"auto"`` is ``"analytic"``. The last two are for teaching, and as checks that share no formula with
             the others:
 
-            - ``"analytic"``: exact kernels times the visible fraction, reciprocity exact, stored densely. Two
+            - ``"analytic"``: exact kernels times the visible fraction, reciprocity exact, stored once a pair, and where
+              most pairs are hidden only those that are not. Two
               hundredths of the tolerance go to the unoccluded kernels. What blocks is merged to convex bodies; where no
               body stands between two patches nothing is done, where up to eight do their shadows are exact from every
               point and averaged over one of the patches; where more do, or a patch reaches into a body, quasi-random
@@ -132,8 +133,8 @@ def form_factors(
         ValueError: an unknown method, a tolerance out of range; for ``"analytic"`` and ``"hierarchical"`` a patch that
             repeats another one, whose light would count twice.
         OSError: ``cache`` cannot be written to.
-        MemoryError: the factors would not fit, with the estimate; the dense exchange is refused before any work, sparse
-            rows as soon as they outgrow the memory.
+        MemoryError: the factors would not fit, with the estimate: before any work where nothing can block, else as soon
+            as what has been found outgrows the memory.
 
     Warns:
         UserWarning: the tolerance was not met by as many segments or rays as the method may cast; a file in ``cache``

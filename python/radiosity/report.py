@@ -66,7 +66,8 @@ class Report:
         degenerate_patches: needles, and patches so thin that rays can miss them.
         duplicate_patches: the patches that repeat the corners and the orientation of an earlier one.
         coincident_pairs: (k, 2), pairs of patches with the same corners that face away from each other.
-        dense_bytes: memory of the dense form factors, as `radiosity.form_factors` stores them.
+        dense_bytes: memory that the form factors of :func:`radiosity.form_factors` take at most, but for 16
+            bytes a pair of which a part is hidden; less where most patches do not see each other.
         mirrors: number of patches that are mirrors.
         glass: number of patches that are glass.
         hints: what should be looked at, in words.
@@ -120,7 +121,7 @@ class Report:
             ("degenerate patches", _count(len(self.degenerate_patches))),
             ("duplicate patches", _count(len(self.duplicate_patches))),
             ("coincident pairs", _count(len(self.coincident_pairs))),
-            ("dense form factors", _bytes(self.dense_bytes)),
+            ("dense form factors", f"at most {_bytes(self.dense_bytes)}"),
         ]
         if self.mirrors or self.glass:
             rows.insert(4, ("mirrors, glass", f"{self.mirrors:,} and {self.glass:,} patches"))

@@ -109,6 +109,7 @@ impl Dense {
             return Err(too_much(Dense::forecast(n)));
         }
         let work = Work {
+            scene,
             patches: (0..n).map(|i| Patch::new(scene.triangle(i))).collect(),
             sights: Sights::new(scene, &blockers.bodies, progress)?,
             blockers,
@@ -375,7 +376,8 @@ fn bytes_of_candidates(count: usize) -> u64 {
 }
 
 /// What the rows are computed from.
-struct Work {
+struct Work<'a> {
+    scene: &'a Scene,
     patches: Vec<Patch>,
     blockers: Blockers,
     sights: Sights,
@@ -390,7 +392,7 @@ struct Found {
     segments: u64,
 }
 
-impl Work {
+impl Work<'_> {
     /// Some rows, in their order.
     fn rows(&self, rows: Range<usize>, progress: &Progress) -> Result<Vec<Found>> {
         // The longest rows first, so that the threads finish together.
@@ -411,15 +413,16 @@ impl Work {
         /// Pairs between two looks at the wish to stop.
         const PAIRS: usize = 256;
         let (patches, bodies) = (&self.patches, &self.blockers.bodies);
-        let Patch { corners, normal, .. } = &patches[i];
-        let may_see = self.sights.before(i as u32, corners, *normal, bodies);
-        let pairs: Vec<[u32; 2]> = may_see.iter().map(|&j| [i as u32, j]).collect();
+        let view = self.sights.before(i as u32, self.scene, bodies);
+        let pairs: Vec<[u32; 2]> = view.patches.iter().map(|&(j, _)| [i as u32, j]).collect();
         let mut exchange = vec![0.0; pairs.len()];
         batch.exchange_pairs(patches, patches, &pairs, &self.accuracy, &mut exchange)?;
         let (mut candidates, mut segments) = (Vec::new(), 0);
-        for (&[i, j], g) in pairs.iter().zip(&mut exchange).filter(|(_, g)| **g > 0.0) {
-            let shaft = Shaft::new(corners, &patches[j as usize].corners);
-            if bodies.is_empty() || !bodies.may_meet(&shaft, [i, j]) {
+        let found = pairs.iter().zip(&view.patches).zip(&mut exchange).filter(|(_, g)| **g > 0.0);
+        for (k, ((&[i, j], &(_, list)), g)) in found.enumerate() {
+            let near = view.bodies[list as usize].as_slice();
+            let shaft = || Shaft::new(&patches[i as usize].corners, &patches[j as usize].corners);
+            if near.is_empty() || !bodies.may_meet(near, &shaft(), [i, j]) {
                 continue;
             }
             let mut c = Candidate::new(i, j, *g);
@@ -429,12 +432,13 @@ impl Work {
             } else {
                 *g *= c.visible;
             }
-            if candidates.len() % PAIRS == 0 {
+            if k % PAIRS == 0 {
                 progress.advance(0)?;
             }
         }
         progress.advance(i as u64)?;
-        let (column, value) = may_see.into_iter().zip(exchange).filter(|(_, g)| *g != 0.0).unzip();
+        let columns = view.patches.iter().map(|&(j, _)| j);
+        let (column, value) = columns.zip(exchange).filter(|(_, g)| *g != 0.0).unzip();
         Ok(Found { row: Row::new(i, column, value), candidates, segments })
     }
 }

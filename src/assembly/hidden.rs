@@ -173,8 +173,11 @@ fn visible_by_shadows(
     if blockers.bodies.entangled(c.i) || blockers.bodies.entangled(c.j) {
         return None;
     }
-    let bodies = blockers.bodies.in_shaft(&Shaft::new(&a.corners, &b.corners), [c.i, c.j], MOST_BODIES)?;
-    shadows.visible(a, b, &bodies, c.wanted)
+    let shaft = Shaft::new(&a.corners, &b.corners);
+    match blockers.bodies.in_shaft(&shaft, [c.i, c.j], MOST_BODIES) {
+        Some(bodies) => shadows.visible(a, b, &bodies, c.wanted),
+        None => blockers.bodies.hide(&a.corners, &b.corners).then_some(Visible { fraction: 0.0, error: 0.0 }),
+    }
 }
 
 /// For every row the sum over its candidates of the error of F_ij.

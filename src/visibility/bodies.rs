@@ -16,7 +16,7 @@ use super::merge::{Mesh, NONE};
 use super::shaft::Shaft;
 use super::solids::{Others, Shells};
 use crate::geometry::Vec3;
-use crate::geometry::polygon::centre;
+use crate::geometry::polygon::{Plane, centre};
 use crate::scene::Scene;
 
 /// The bodies of a scene that can stand between two of its patches.
@@ -79,12 +79,21 @@ impl Bodies {
         Bodies { bodies, body_of, entangled, tree: BoxTree::new(boxes) }
     }
 
-    /// Whether a body may reach into the shaft between two patches, by quick tests.
-    pub fn may_meet(&self, shaft: &Shaft, patches: [u32; 2]) -> bool {
-        let mut found = false;
-        self.near(shaft, patches.map(|i| self.body_of(i)), |k| {
-            found = found || shaft.may_hold(&self.bodies[k as usize]);
-            !found
+    /// Whether one of some bodies may reach into the shaft between two patches, by quick tests.
+    pub fn may_meet(&self, some: &[u32], shaft: &Shaft, patches: [u32; 2]) -> bool {
+        let own = patches.map(|i| self.body_of(i));
+        some.iter().any(|k| !own.contains(k) && shaft.may_hold(&self.bodies[*k as usize]))
+    }
+
+    /// The bodies that may reach into a shaft, but for those that have all of `corners`, which span it, before one of their faces.
+    pub fn around(&self, shaft: &Shaft, corners: &[&[Vec3]]) -> Vec<u32> {
+        let mut found = Vec::new();
+        self.near(shaft, [NONE; 2], |k| {
+            let before = |face: &Plane| corners.iter().copied().flatten().all(|x| face.distance(*x) >= 0.0);
+            if !self.bodies[k as usize].faces.iter().any(before) {
+                found.push(k);
+            }
+            true
         });
         found
     }

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use super::bodies::Bodies;
 use super::body::extremes;
+use super::shaft::Shaft;
 use crate::error::Result;
 use crate::geometry::{Triangle, Vec3};
 use crate::progress::Progress;
@@ -34,6 +35,15 @@ pub struct Sights {
     /// The leaves that the patches of every leaf may see.
     seen: Vec<Vec<u32>>,
     slack: f64,
+}
+
+/// What a patch may see.
+#[derive(Debug, Default)]
+pub struct View {
+    /// Patches, in their order, and for each the number of a list of bodies.
+    pub patches: Vec<(u32, u32)>,
+    /// Bodies that may stand between the patch and those that have this list.
+    pub bodies: Vec<Vec<u32>>,
 }
 
 /// Where some patches are, and which way they face.
@@ -135,18 +145,26 @@ impl Sights {
         a.is_before(b, self.slack) || b.is_before(a, self.slack)
     }
 
-    /// The patches j < i that patch i, with this triangle and normal, may see, in their order.
-    pub fn before(&self, i: u32, triangle: &Triangle, normal: Vec3, bodies: &Bodies) -> Vec<u32> {
-        let own = Extent::of(triangle, normal);
-        let mut found = Vec::new();
+    /// What patch i of a scene may see of the patches j < i.
+    pub fn before(&self, i: u32, scene: &Scene, bodies: &Bodies) -> View {
+        let (triangle, normal) = (scene.triangle(i as usize), scene.normals()[i as usize]);
+        let own = Extent::of(&triangle, normal);
+        let mut view = View::default();
         for &k in &self.seen[self.leaf_of[i as usize] as usize] {
             let node = &self.nodes[k as usize];
-            if !self.are_turned_away(&own, &node.extent) && !bodies.hide(triangle, &node.extent.corners()) {
-                found.extend(self.order[node.first..node.end].iter().filter(|&&j| j < i));
+            let corners = node.extent.corners();
+            let patches = || self.order[node.first..node.end].iter().copied().filter(|&j| j < i);
+            let is_empty = self.are_turned_away(&own, &node.extent) || patches().next().is_none();
+            if is_empty || bodies.hide(&triangle, &corners) {
+                continue;
             }
+            let shaft = Shaft::between(&triangle, &corners, [Some(scene.plane(i as usize)), None]);
+            let ends: Vec<Triangle> = patches().map(|j| scene.triangle(j as usize)).collect();
+            view.patches.extend(patches().map(|j| (j, view.bodies.len() as u32)));
+            view.bodies.push(bodies.around(&shaft, &[&triangle, ends.as_flattened()]));
         }
-        found.sort_unstable();
-        found
+        view.patches.sort_unstable();
+        view
     }
 }
 

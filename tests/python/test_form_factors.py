@@ -9,6 +9,7 @@ import pytest
 
 import radiosity as rad
 import references
+from radiosity.scenes.builder import Builder
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 CASES = json.loads((DATA / "view_factors.json").read_text(encoding="utf-8"))
@@ -235,3 +236,50 @@ def test_too_large_an_operator_is_refused_before_any_work(monkeypatch):
     monkeypatch.setattr(sys.modules["radiosity.form_factors"], "available_bytes", lambda: 1000)
     with pytest.raises(MemoryError, match=r"dense exchange of \d+ patches needs .* can be used; use fewer patches"):
         rad.form_factors(rad.scenes.furnace(max_edge=0.2))
+
+
+@pytest.fixture(scope="module")
+def streets() -> rad.Scene:
+    """Four by four houses on a ground: most pairs of walls are hidden from each other."""
+    builder = Builder()
+    lines = np.arange(0.0, 27.0, 2.0)
+    builder.wall("ground", 2, +1, 0.0, (lines, lines, [0.0]), (0.5,), (0.0,))
+    for k in range(16):
+        x, y = 2.0 + 6.0 * (k % 4), 2.0 + 6.0 * (k // 4)
+        builder.box(f"house {k}", (x, y, 0.0), (x + 4.0, y + 4.0, 3.0 + k % 3), (0.5,), (1.0,))
+    return builder.scene(max_edge=3.0)
+
+
+def test_what_is_hidden_is_neither_stored_nor_lost(streets):
+    F = rad.form_factors(streets, tolerance=1e-2)
+    full = F.toarray()
+    # Less than half of what all pairs take: few see each other.
+    assert F.nbytes < 0.5 * streets.report().dense_bytes
+    # A product adds up the same terms in another order than numpy: some 1,000 of them round off by a few ulp.
+    x = np.random.default_rng(1).random((streets.n_patches, 3))
+    np.testing.assert_allclose(F @ x, full @ x, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(F.row_sums, full.sum(axis=1), rtol=1e-12, atol=1e-15)
+    # Gauss-Seidel gathers by rows, Southwell shoots by columns: both solve the matrix to 1e-10 of the emission.
+    exact = rad.solve_system(full, streets.emission, streets.reflectance, "direct").radiosity
+    for method in ("gauss_seidel", "southwell"):
+        found = rad.solve_system(F, streets.emission, streets.reflectance, method, 1e-10, progress=False).radiosity
+        np.testing.assert_allclose(found, exact, rtol=1e-8)
+
+
+def test_pairs_without_exchange_do_not_see_each_other(streets):
+    F = rad.form_factors(streets, tolerance=1e-2).toarray()
+    rng = np.random.default_rng(2)
+    # Random points of random pairs that face each other: no segment may be free where F is 0.
+    i, j = rng.integers(0, streets.n_patches, (2, 200_000))
+    corners = streets.vertices[streets.faces]
+    p, q = (np.einsum("mk,mkc->mc", rng.dirichlet([1.0] * 3, len(k)), corners[k]) for k in (i, j))
+    facing = [np.einsum("mc,mc->m", streets.normals[k], way) > 0.0 for k, way in ((i, q - p), (j, p - q))]
+    none = (F[i, j] == 0.0) & facing[0] & facing[1]
+    assert none.sum() > 10_000
+    assert streets.occluded(p[none], q[none]).all()
+
+
+def test_row_errors_of_a_town_are_within_the_tolerance(streets):
+    rough, fine = (rad.form_factors(streets, tolerance=t).toarray() for t in (3e-2, 1e-3))
+    # The error of the fine one is a thirtieth of the tolerance asked of the other: it does not count.
+    assert np.abs(rough - fine).sum(axis=1).max() < 3e-2
