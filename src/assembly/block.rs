@@ -219,7 +219,7 @@ impl Block {
         scene.require_diffuse("a matrix of form factors")?;
         let n = scene.len();
         let KeptSampled { rows, uncertainty, error_estimate, .. } = &kept;
-        if rows.len() != n || !rows.index.iter().all(|&j| (j as usize) < n) {
+        if rows.len() != n {
             return Err(Error::Invalid(format!("{} rows are not those of {n} patches", rows.len())));
         }
         let is_sound = match uncertainty {

@@ -109,9 +109,8 @@ fn sampled_operators_come_back() {
         let f = Sampled::new(&scene, estimator, options, &Progress::default()).unwrap();
         let kept = f.kept().clone();
         let (start, index, value) = kept.rows.parts();
-        let of_columns =
-            |n: usize, index: Vec<u32>| Compressed::new(start.to_vec(), index, value.to_vec(), 0, n).unwrap();
-        let rows = of_columns(scene.len(), index.to_vec());
+        let square = |index: Vec<u32>| Compressed::square(start.to_vec(), index, value.to_vec());
+        let rows = square(index.to_vec()).unwrap();
         assert_same(&Sampled::from_kept(&scene, KeptSampled { rows, ..kept.clone() }).unwrap(), &f);
 
         let refused = |kept: KeptSampled| invalid(Sampled::from_kept(&scene, kept));
@@ -126,8 +125,7 @@ fn sampled_operators_come_back() {
         for uncertainty in none {
             assert!(refused(KeptSampled { uncertainty, ..kept.clone() }).contains("are not those of this matrix"));
         }
-        let rows = of_columns(n + 1, [&[n as u32], &index[1..]].concat());
-        assert!(refused(KeptSampled { rows, ..kept.clone() }).contains("rows are not those of"));
+        assert!(invalid(square([&[n as u32], &index[1..]].concat())).contains("square matrix in CSR form"));
         assert!(invalid(Sampled::from_kept(&cube(2).scene(), kept)).contains("rows are not those of"));
     }
 }
