@@ -17,6 +17,7 @@ mod fuzz_case;
 mod geometry;
 mod hierarchy;
 mod instant;
+mod kept;
 mod rays;
 mod relight;
 mod render;
