@@ -218,8 +218,7 @@ impl FormFactors {
     }
 
     /// What a dense operator is made of beside its exchange: (n + 1,) starts of its rows and (m,) columns, or `None` where every
-    /// pair has an entry; (k, 2) pairs whose visibility was sampled, (k,) their standard
-    /// errors, and the error of the kernels.
+    /// pair has an entry; (k, 2) pairs whose visibility was sampled, (k,) their standard errors, and the error of the kernels.
     fn dense_parts<'py>(&self, py: Python<'py>) -> PyResult<Option<DenseParts<'py>>> {
         let Some(dense) = &self.dense else { return Ok(None) };
         let kept = dense.kept();

@@ -106,6 +106,126 @@ def test_one_patch_has_no_pairs_and_is_kept_too(tmp_path):
         assert G.toarray() == F.toarray() == 0.0
 
 
+def blocks(sides, heights):
+    """Unit boxes half a metre apart, with walls that face outwards or inwards: few pairs of patches see each other."""
+    cube = rad.scenes.furnace(0.5, 1.0)
+    faces = cube.faces[:, ::-1] if sides == "out" else cube.faces
+    corners = [
+        cube.vertices * (1.0, 1.0, height) + (1.5 * (k % 3), 1.5 * (k // 3), 0.0) for k, height in enumerate(heights)
+    ]
+    numbers = np.concatenate([faces + k * len(cube.vertices) for k in range(len(heights))])
+    return rad.Scene(np.concatenate(corners), numbers, 0.5, 1.0)
+
+
+@pytest.fixture(scope="module")
+def town():
+    """Nine houses of three heights, which hide parts of each other."""
+    scene = blocks("out", (1.0, 2.0, 1.0, 3.0, 1.0, 2.0, 1.0, 3.0, 2.0)).subdivide(0.8)
+    return scene, rad.form_factors(scene, 0.05, seed=3, progress=False)
+
+
+def test_what_is_not_zero_comes_back_bit_for_bit(town, tmp_path):
+    scene, F = town
+    n = scene.n_patches
+    F.save(tmp_path / "a.npz")
+    arrays = arrays_of(tmp_path / "a.npz")
+    start, column, exchange = (arrays[name] for name in ("start", "column", "exchange"))
+    assert start.shape == (n + 1,)
+    assert column.shape == exchange.shape == (start[-1],)
+    # Kept like this only where it saves a quarter; and some of it is sampled.
+    assert 20 * len(column) + 16 * (n + 1) <= 0.75 * 8 * (n * (n - 1) // 2)
+    assert len(arrays["pairs"])
+    lower = np.zeros(F.shape)
+    lower[np.repeat(np.arange(n), np.diff(start.astype(int))), column] = exchange
+    np.testing.assert_array_equal((lower + lower.T) / scene.areas[:, None], F.toarray())
+    for check in (True, False):
+        G = rad.load_form_factors(tmp_path / "a.npz", scene, check)
+        assert_same_operator(G, F)
+        # From both sides, and with many columns.
+        x = np.random.default_rng(1).random((n, 40))
+        np.testing.assert_array_equal(G @ x, F @ x)
+        np.testing.assert_array_equal(G.aslinearoperator().rmatmat(x), F.aslinearoperator().rmatmat(x))
+        for solver in ("direct", "gauss_seidel", "southwell", "gmres"):
+            one, other = (
+                rad.solve_system(each, scene.emission, scene.reflectance, solver, 1e-4, progress=False)
+                for each in (G, F)
+            )
+            assert_same_solution(one, other)
+    G.save(tmp_path / "b.npz")
+    assert (tmp_path / "b.npz").read_bytes() == (tmp_path / "a.npz").read_bytes()
+
+
+def test_what_is_not_zero_is_balanced_as_before(tmp_path):
+    rooms = blocks("in", [1.0] * 9)
+    F = rad.form_factors(rooms, 0.01, progress=False)
+    F.save(tmp_path / "plain.npz")
+    assert "column" in arrays_of(tmp_path / "plain.npz")
+    balanced = F.balance()
+    assert balanced.balanced_by is not None
+    assert_same_operator(rad.load_form_factors(tmp_path / "plain.npz", rooms).balance(), balanced)
+    balanced.save(tmp_path / "balanced.npz")
+    assert_same_operator(rad.load_form_factors(tmp_path / "balanced.npz", rooms), balanced)
+
+
+def test_patches_that_see_nobody_are_kept_too(tmp_path):
+    house = blocks("out", [1.0]).subdivide(0.5)
+    F = rad.form_factors(house, 0.05, progress=False)
+    F.save(tmp_path / "a.npz")
+    assert arrays_of(tmp_path / "a.npz")["column"].shape == (0,)
+    G = rad.load_form_factors(tmp_path / "a.npz", house)
+    assert_same_operator(G, F)
+    assert not G.toarray().any()
+
+
+def set_at(array, k, value):
+    array[k] = value
+    return array
+
+
+def first_of_the_longest_row(arrays):
+    start = arrays["start"].astype(int)
+    return start[np.argmax(np.diff(start))]
+
+
+def doubled(arrays):
+    k = first_of_the_longest_row(arrays)
+    return set_at(arrays["column"], k, arrays["column"][k + 1])
+
+
+PATTERN_EDITS = {
+    "the first row starts late": ("start", lambda a: set_at(a["start"], 0, 1)),
+    "rows end before they start": ("start", lambda a: set_at(a["start"], 40, a["start"][-1])),
+    "rows end before the columns do": ("start", lambda a: set_at(a["start"], -1, len(a["column"]) - 1)),
+    "rows end after the columns": ("start", lambda a: set_at(a["start"], -1, len(a["column"]) + 1)),
+    "a place that no machine has": ("start", lambda a: set_at(a["start"], -1, 2**64 - 1)),
+    "one row too few": ("start", lambda a: a["start"][:-1]),
+    "starts of another type": ("start", lambda a: a["start"].astype(np.int64)),
+    "a column above the diagonal": ("column", lambda a: set_at(a["column"], -1, len(a["start"]) - 2)),
+    "a column that is not there": ("column", lambda a: set_at(a["column"], -1, 2**32 - 1)),
+    "columns that descend": ("column", lambda a: a["column"][::-1]),
+    "a column twice": ("column", doubled),
+    "one column too few": ("column", lambda a: a["column"][:-1]),
+    "one exchange too few": ("exchange", lambda a: a["exchange"][:-1]),
+}
+
+
+@pytest.mark.parametrize("edit", PATTERN_EDITS)
+def test_places_that_cannot_be_are_refused(edit, town, tmp_path):
+    scene, F = town
+    F.save(tmp_path / "sound.npz")
+    arrays = arrays_of(tmp_path / "sound.npz")
+    name, edited = PATTERN_EDITS[edit]
+    changed = edited({other: array.copy() for other, array in arrays.items()})
+    np.savez(tmp_path / "edited.npz", **{**arrays, name: changed})
+    with pytest.raises(ValueError, match=r"edited\.npz: .*(starts? |column|exchange)"):
+        rad.load_form_factors(tmp_path / "edited.npz", scene, False)
+    for missing in ({name}, {"start", "column"}):
+        left = {other: array for other, array in arrays.items() if other not in missing}
+        np.savez(tmp_path / "short.npz", **left)
+        with pytest.raises(ValueError, match=r"short\.npz: damaged, "):
+            rad.load_form_factors(tmp_path / "short.npz", scene)
+
+
 def test_materials_do_not_matter(factors, box, tmp_path):
     factors["analytic"].save(tmp_path / "a.npz")
     other = box.with_materials(0.3, 2.0)

@@ -1,15 +1,16 @@
 //! Operators made again of what was kept of them: the same bits in all that a solver asks, and refusal of what cannot be.
 
 use radiosity::Progress;
-use radiosity::assembly::matrix::SparseMatrix;
+use radiosity::assembly::matrix::Compressed;
 use radiosity::assembly::{
-    Dense, Estimator, FormFactors, KeptDense, KeptSampled, Numbers, Sampled, SampledOptions, Uncertain, Uncertainty,
+    Dense, Estimator, FormFactors, KeptDense, KeptSampled, Numbers, Pattern, Sampled, SampledOptions, Uncertain,
+    Uncertainty,
 };
 use radiosity::hierarchy::link::{Found, NO_MATRIX};
 use radiosity::hierarchy::{HierarchicalOptions, Links, Reached, form_factors, from_kept};
 use radiosity::scene::Scene;
 
-use crate::common::{PLENTY, Random, box_in_box, cube, dense, invalid, table};
+use crate::common::{Mesh, PLENTY, Random, box_from, box_in_box, cube, dense, invalid, table, vec3};
 
 /// Everything that a solver may ask, bit for bit.
 fn assert_same(one: &dyn FormFactors, other: &dyn FormFactors) {
@@ -51,7 +52,53 @@ fn a_dense_operator_comes_back() {
         assert!(refused(KeptDense { kernel_error: error, ..kept.clone() }).contains("not both numbers from 0"));
         assert!(refused(KeptDense { error_estimate: error, ..kept.clone() }).contains("not both numbers from 0"));
     }
-    assert!(invalid(Dense::from_kept(&cube(2).scene(), kept)).contains("entries, not"));
+    assert!(invalid(Dense::from_kept(&cube(2).scene(), kept)).contains("is not that of 48"));
+}
+
+/// Nine houses of three heights, half a metre apart: few pairs of patches see each other.
+fn town() -> Mesh {
+    (0..9).fold(Mesh::default(), |mesh, k| {
+        let low = vec3(1.5 * f64::from(k % 3), 1.5 * f64::from(k / 3), 0.0);
+        mesh.and(&box_from(low, low + vec3(1.0, 1.0, f64::from(1 + k % 3)), 2).reversed())
+    })
+}
+
+#[test]
+fn a_dense_operator_of_few_entries_comes_back() {
+    let scene = town().scene();
+    let n = scene.len();
+    let f = dense(&scene, 0.05, 3);
+    let kept = f.kept().clone();
+    assert!(!kept.uncertain.is_empty());
+    let (start, column) = kept.pattern.entries().unwrap();
+    assert_eq!((start.len(), column.len()), (n + 1, kept.exchange.len()));
+    let again = |start: Vec<usize>, column: Vec<u32>| Pattern::from_entries(n, start, column);
+    let pattern = again(start.to_vec(), column.to_vec()).unwrap();
+    assert_same(&Dense::from_kept(&scene, KeptDense { pattern, ..kept.clone() }).unwrap(), &f);
+
+    let whole = Dense::from_kept(&scene, KeptDense { pattern: Pattern::whole(n), ..kept.clone() });
+    assert!(invalid(whole).contains("entries, not"));
+    // A row that has two columns, and is not the last.
+    let row = (0..n).find(|&i| start[i + 1] - start[i] > 1).unwrap();
+    let edits: [&dyn Fn(&mut Vec<usize>); 6] = [
+        &|start| start[0] = 1,
+        &|start| start[row] = usize::MAX,
+        &|start| start[n] -= 1,
+        &|start| start[n] += 1,
+        &|start| start.truncate(n),
+        &Vec::clear,
+    ];
+    for edit in edits {
+        let mut start = start.to_vec();
+        edit(&mut start);
+        assert!(invalid(again(start, column.to_vec())).contains("do not ascend from 0 to"));
+    }
+    let first = start[row];
+    for (place, j) in [(first, column[first + 1]), (start[row + 1] - 1, row as u32), (first, u32::MAX)] {
+        let mut column = column.to_vec();
+        column[place] = j;
+        assert!(invalid(again(start.to_vec(), column)).contains(&format!("row {row}: its columns")));
+    }
 }
 
 #[test]
@@ -61,9 +108,11 @@ fn sampled_operators_come_back() {
         let options = SampledOptions { tolerance: 0.3, seed: 3, memory: PLENTY };
         let f = Sampled::new(&scene, estimator, options, &Progress::default()).unwrap();
         let kept = f.kept().clone();
-        let (start, index, value) = kept.matrix.rows();
-        let matrix = SparseMatrix::new(start.to_vec(), index.to_vec(), value.to_vec()).unwrap();
-        assert_same(&Sampled::from_kept(&scene, KeptSampled { matrix, ..kept.clone() }).unwrap(), &f);
+        let (start, index, value) = kept.rows.parts();
+        let of_columns =
+            |n: usize, index: Vec<u32>| Compressed::new(start.to_vec(), index, value.to_vec(), 0, n).unwrap();
+        let rows = of_columns(scene.len(), index.to_vec());
+        assert_same(&Sampled::from_kept(&scene, KeptSampled { rows, ..kept.clone() }).unwrap(), &f);
 
         let refused = |kept: KeptSampled| invalid(Sampled::from_kept(&scene, kept));
         let (n, k) = (scene.len(), index.len());
@@ -77,6 +126,8 @@ fn sampled_operators_come_back() {
         for uncertainty in none {
             assert!(refused(KeptSampled { uncertainty, ..kept.clone() }).contains("are not those of this matrix"));
         }
+        let rows = of_columns(n + 1, [&[n as u32], &index[1..]].concat());
+        assert!(refused(KeptSampled { rows, ..kept.clone() }).contains("rows are not those of"));
         assert!(invalid(Sampled::from_kept(&cube(2).scene(), kept)).contains("rows are not those of"));
     }
 }
