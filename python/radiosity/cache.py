@@ -23,9 +23,13 @@ from .keep import VERSION as FORM_FACTORS_VERSION
 from .npz import AnyArray
 from .save import VERSION as SOLUTION_VERSION
 from .scene import Scene
+from .solution import Solution
 
 Cache: TypeAlias = str | os.PathLike[str] | None
 Result = TypeVar("Result")
+
+# What of a scene its solution follows from, beside the settings.
+_OF_SOLUTIONS = ("vertices", "faces", "reflectance", "emission", "mirror", "ior")
 
 
 def folder_of(cache: Cache) -> Path | None:
@@ -58,9 +62,7 @@ def form_factors_in(folder: Path, scene: Scene, **settings: Any) -> Path:
 
 def solution_in(folder: Path, scene: Scene, **settings: Any) -> Path:
     """Where a solution of a scene is kept."""
-    arrays: dict[str, AnyArray] = {
-        name: getattr(scene, name) for name in ("vertices", "faces", "reflectance", "emission", "mirror", "ior")
-    }
+    arrays: dict[str, AnyArray] = {name: getattr(scene, name) for name in _OF_SOLUTIONS}
     # The elements of a solution have names, too.
     return folder / f"solution-{_hash(SOLUTION_VERSION, {**settings, 'names': scene.names}, **arrays)}.npz"
 
@@ -75,6 +77,14 @@ def _hash(layout: int, settings: dict[str, Any], **arrays: AnyArray) -> str:
     for _, array in sorted(arrays.items()):
         total.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
     return total.hexdigest()[:32]
+
+
+def is_of(solution: Solution, scene: Scene) -> bool:
+    """Whether a solution is of this very scene, whatever its file is called."""
+    own = solution.scene
+    return own is not None and all(
+        np.array_equal(getattr(own, name), getattr(scene, name), equal_nan=True) for name in _OF_SOLUTIONS
+    )
 
 
 def kept(
@@ -94,7 +104,7 @@ def kept(
     if may_keep(result):
         try:
             write(result, path)
-        except OSError as error:
+        except (OSError, MemoryError) as error:
             # Of a full disk, most likely: the work is done, and worth more than an error.
             warnings.warn(f"{path}: the result could not be kept ({error})", UserWarning, stacklevel=3)
     return result

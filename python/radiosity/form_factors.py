@@ -180,11 +180,17 @@ def form_factors_as_reached(
         with reporter(progress, "form factors") as report:
             return FormFactors(_computed(scene, settings, workers, report), scene, settings)
 
+    def load(path: Path) -> FormFactors:
+        core, found = keep.read(path, scene, check=True)
+        if found != settings:
+            raise ValueError(f"{path}: of other settings")
+        return FormFactors(core, scene, found)
+
     if folder is None:
         return compute()
     return kept(
         form_factors_in(folder, scene, method=settings.method, tolerance=settings.tolerance, seed=settings.seed),
-        lambda path: load_form_factors(path, scene),
+        load,
         compute,
         lambda F, path: F.save(path),
         # Links end where the memory does, which may be larger another time.

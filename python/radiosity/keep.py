@@ -19,6 +19,7 @@ import numpy as np
 from . import _core
 from .arrays import FloatArray
 from .files import replacing
+from .memory import available_bytes
 from .npz import AnyArray, Entry, names_in, read_arrays, write_arrays
 from .report import counted
 from .scene import Scene
@@ -28,6 +29,11 @@ VERSION = 1
 _FORMAT = "radiosity form factors"
 # Numbers of the exchange that are copied at once.
 _PART = 1 << 20
+
+# Of the arrays that are read: what the core makes of them while they are there, and what it then holds beside them.
+_GROWTH = 3
+# A node of the tree over the patches, of which there are two a patch, with what is computed from its parts.
+_BYTES_OF_NODE = 2000
 
 # The arrays of every method beside ``settings`` and ``corners``: type and shape, with a letter for any length.
 _ARRAYS: dict[str, dict[str, tuple[str, tuple[int | str, ...]]]] = {
@@ -154,6 +160,11 @@ def read(path: str | os.PathLike[str], scene: Scene, check: bool) -> tuple[_core
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: damaged, {error}") from error
     _check_scene(path, arrays.pop("corners"), scene)
+    needed = _GROWTH * sum(array.nbytes for array in arrays.values() if not isinstance(array, np.memmap))
+    if settings.method == "hierarchical":
+        needed += 2 * _BYTES_OF_NODE * scene.n_patches
+    if needed > available_bytes():
+        raise MemoryError(f"{path}: these form factors need {needed} bytes more, which cannot be had")
     try:
         core = _operator(scene, settings.method, arrays, kept)
     except (KeyError, TypeError, ValueError, OverflowError) as error:

@@ -17,7 +17,7 @@ import numpy as np
 
 from . import _core
 from .arrays import FloatArray, IntArray, read_only, real_number, seed_number, thread_count
-from .cache import Cache, folder_of, kept, solution_in
+from .cache import Cache, folder_of, is_of, kept, solution_in
 from .form_factors import form_factors_as_reached
 from .glass import glass_hints
 from .memory import available_bytes
@@ -120,9 +120,16 @@ def solve(
         settings: dict[str, Any] = {"method": method, "tolerance": float(tolerance), "seed": number}
         if method in ("auto", "rays"):
             settings |= {"method": "rays", "order": int(order), "refine": bool(refine)}
+
+        def load(path: Path) -> Solution:
+            found = load_solution(path)
+            if not is_of(found, scene):
+                raise ValueError(f"{path}: of another scene")
+            return dataclasses.replace(found, scene=scene)
+
         solution = kept(
             solution_in(folder, scene, **settings),
-            lambda path: dataclasses.replace(load_solution(path), scene=scene),
+            load,
             compute,
             save,
             # With more memory it may come out better another time.

@@ -7,7 +7,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 
-use super::convert::{copied, shape_error, table, values, vector};
+use super::convert::{collected, copied, shape_error, table, values, vector};
 use super::error::to_python;
 use super::mapped::Mapped;
 use super::remote::Remote;
@@ -74,9 +74,7 @@ pub(super) fn estimator(method: &str) -> PyResult<Estimator> {
 
 /// Places in an array. What does not fit becomes too large to be in range, and is refused by the core.
 fn places(array: &PyReadonlyArray1<u64>) -> PyResult<Vec<usize>> {
-    let mut places = room(array.len()).map_err(to_python)?;
-    places.extend(array.as_array().iter().map(|&k| usize::try_from(k).unwrap_or(usize::MAX)));
-    Ok(places)
+    collected(array.len(), array.as_array().iter().map(|&k| usize::try_from(k).unwrap_or(usize::MAX)))
 }
 
 impl FormFactors {
@@ -222,14 +220,14 @@ impl FormFactors {
     fn dense_parts<'py>(&self, py: Python<'py>) -> PyResult<Option<DenseParts<'py>>> {
         let Some(dense) = &self.dense else { return Ok(None) };
         let kept = dense.kept();
-        let pairs = kept.uncertain.iter().flat_map(|u| [u.i, u.j]).collect();
-        let errors = kept.uncertain.iter().map(|u| u.standard_error).collect();
+        let count = kept.uncertain.len();
+        let pairs = collected(2 * count, kept.uncertain.iter().flat_map(|u| [u.i, u.j]))?;
+        let errors = collected(count, kept.uncertain.iter().map(|u| u.standard_error))?;
         let pattern = match kept.pattern.entries() {
             None => None,
             Some((start, column)) => {
-                let mut starts = room(start.len()).map_err(to_python)?;
-                starts.extend(start.iter().map(|&k| k as u64));
-                Some((vector(py, starts), vector(py, copied(column)?)))
+                let start = collected(start.len(), start.iter().map(|&k| k as u64))?;
+                Some((vector(py, start), vector(py, copied(column)?)))
             }
         };
         Ok(Some((pattern, table(py, pairs, 2)?, vector(py, errors), kept.kernel_error)))
@@ -263,7 +261,10 @@ impl FormFactors {
         let kept = KeptDense {
             pattern,
             exchange: Numbers::of(Mapped::new(exchange)?),
-            uncertain: pairs.rows().into_iter().zip(standard_errors.as_array()).map(uncertain).collect(),
+            uncertain: collected(
+                pairs.nrows(),
+                pairs.rows().into_iter().zip(standard_errors.as_array()).map(uncertain),
+            )?,
             kernel_error,
             error_estimate,
             segments,
@@ -281,7 +282,7 @@ impl FormFactors {
             Uncertainty::Rays(rays) => (Some(vector(py, copied(rays)?)), None),
             Uncertainty::Entries(errors) => (None, Some(vector(py, copied(errors)?))),
         };
-        let start = vector(py, start.iter().map(|&k| k as u64).collect());
+        let start = vector(py, collected(start.len(), start.iter().map(|&k| k as u64))?);
         Ok(Some((start, vector(py, copied(index)?), vector(py, copied(value)?), rays, errors)))
     }
 
@@ -315,18 +316,19 @@ impl FormFactors {
     fn links_parts<'py>(&self, py: Python<'py>) -> PyResult<Option<LinksParts<'py>>> {
         let Some(links) = &self.links else { return Ok(None) };
         let found = &links.found;
-        let mut exchanges = room(5 * found.links.len()).map_err(to_python)?;
+        let m = found.links.len();
+        let mut exchanges = room(5 * m).map_err(to_python)?;
         for Exchange { unoccluded, kernel_error, fraction, unevenness, fraction_error, .. } in
             found.links.iter().map(|link| link.exchange)
         {
             exchanges.extend([unoccluded, kernel_error, fraction, unevenness, fraction_error]);
         }
-        let nodes = found.links.iter().flat_map(|link| [link.p, link.q]).collect();
+        let nodes = collected(2 * m, found.links.iter().flat_map(|link| [link.p, link.q]))?;
         let places = found.links.iter().map(|link| if link.at == NO_MATRIX { u64::MAX } else { link.at as u64 });
-        let visibility = found.links.iter().map(|link| link.exchange.visibility as u8).collect();
+        let visibility = collected(m, found.links.iter().map(|link| link.exchange.visibility as u8))?;
         Ok(Some((
             table(py, nodes, 2)?,
-            vector(py, places.collect()),
+            vector(py, collected(m, places)?),
             vector(py, visibility),
             table(py, exchanges, 5)?,
             vector(py, copied(&found.matrices)?),

@@ -51,6 +51,13 @@ pub(super) fn copied<T: Copy>(values: &[T]) -> PyResult<Vec<T>> {
     Ok(out)
 }
 
+/// What an iterator yields, `count` values.
+pub(super) fn collected<T>(count: usize, values: impl Iterator<Item = T>) -> PyResult<Vec<T>> {
+    let mut out = room(count).map_err(to_python)?;
+    out.extend(values);
+    Ok(out)
+}
+
 /// Points as an (m, 3) array.
 pub(super) fn from_points<'py>(py: Python<'py>, points: &[Vec3]) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let mut values = room(3 * points.len()).map_err(to_python)?;

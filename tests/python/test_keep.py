@@ -655,6 +655,34 @@ def test_a_damaged_file_of_a_cache_is_computed_again(damage, box, factors, tmp_p
         assert list((tmp_path / kind).iterdir()) == [path]
 
 
+def test_a_file_under_the_name_of_another_is_not_used(box, factors, tmp_path):
+    for call in (rad.form_factors, rad.solve):
+        folder = tmp_path / call.__name__
+        call(box, 0.3, progress=False, cache=folder)
+        (first,) = folder.iterdir()
+        moved = rad.Scene(1.5 * box.vertices, box.faces, box.reflectance, box.emission)
+        others = [(moved, 0)] + ([(box, 1)] if call is rad.form_factors else [])
+        for scene, seed in others:
+            call(scene, 0.3, seed=seed, progress=False, cache=folder)
+            for path in folder.iterdir():
+                if path != first:
+                    path.write_bytes(first.read_bytes())
+            with pytest.warns(UserWarning, match="it is not used"):
+                call(scene, 0.3, seed=seed, progress=False, cache=folder)
+
+
+def test_factors_too_large_for_the_memory_are_refused(factors, box, tmp_path, monkeypatch):
+    monkeypatch.setattr("radiosity.keep.available_bytes", lambda: 100_000)
+    for method in METHODS:
+        factors[method].save(tmp_path / f"{method}.npz")
+        with pytest.raises(MemoryError, match=rf"{method}\.npz: these form factors need \d+ bytes"):
+            rad.load_form_factors(tmp_path / f"{method}.npz", box)
+    # What is mapped takes nothing, and in a convex room no pair is partly hidden.
+    room = rad.scenes.furnace(0.5, 1.0, max_edge=0.2)
+    rad.form_factors(room, 0.3, progress=False).save(tmp_path / "room.npz")
+    assert rad.load_form_factors(tmp_path / "room.npz", room).nbytes > 100_000
+
+
 def test_what_memory_has_ended_is_not_kept(box, tmp_path, monkeypatch):
     for name, call in (("form_factors", rad.form_factors), ("solve", rad.solve)):
         with monkeypatch.context() as patch:
