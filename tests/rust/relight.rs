@@ -85,7 +85,8 @@ fn importance_refuses_what_no_system_has() {
     let n = f.len();
     let told = |rho: f64, w: f64| {
         let (mut rho, mut w) = ([vec![0.5; n], vec![rho; 1]].concat(), [vec![1.0; n], vec![w; 1]].concat());
-        (rho.swap_remove(3), w.swap_remove(3));
+        rho.swap_remove(3);
+        w.swap_remove(3);
         importance(&f, &rho, 1, &w, 1e-6, &mut quiet).unwrap_err().to_string()
     };
     assert!(told(1.5, 1.0).contains("patch 3: reflectance 1.5 is outside [0, 1]"));
