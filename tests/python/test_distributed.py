@@ -120,17 +120,21 @@ def test_bounces_are_drawn_from_it(client, room):
     assert all(np.array_equal(a.radiosity, b.radiosity) for a, b in zip(steps, expected, strict=True))
 
 
-def test_workers_let_go_of_what_nobody_needs(client, room):
-    F = distributed(room[0], client)
-    actors = client.run(lambda dask_worker: len(dask_worker.state.actors))
-    assert set(actors.values()) == {1}
-    del F
+def wait_for_actors(client, count):
+    """Waits until every worker has so many: the scheduler passes on what nobody needs any more."""
     gc.collect()
-    # The scheduler passes the word on.
     end = time.monotonic() + 10
-    while any(client.run(lambda dask_worker: len(dask_worker.state.actors)).values()):
+    while set(client.run(lambda dask_worker: len(dask_worker.state.actors)).values()) != {count}:
         assert time.monotonic() < end
         time.sleep(0.05)
+
+
+def test_workers_let_go_of_what_nobody_needs(client, room):
+    wait_for_actors(client, 0)
+    F = distributed(room[0], client)
+    wait_for_actors(client, 1)
+    del F
+    wait_for_actors(client, 0)
 
 
 def test_a_tolerance_that_is_not_met_is_told(client):

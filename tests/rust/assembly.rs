@@ -253,7 +253,7 @@ fn apply_gather_shoot_and_row_agree_for_every_kind_of_operator() {
 
 #[test]
 fn matrices_that_are_none_are_refused() {
-    let not_fitting = "do not describe rows of";
+    let not_fitting = "do not describe a square matrix";
     let csr = |start: &[usize], index: &[u32], value: &[f64]| {
         invalid(SparseMatrix::new(start.to_vec(), index.to_vec(), value.to_vec()))
     };
