@@ -230,6 +230,10 @@ class DistributedFormFactors:
     """The scene that the factors belong to."""
     method: str
     """``"monte_carlo"`` or ``"hemicube"``."""
+    tolerance: float
+    """The tolerance that was asked for."""
+    seed: int
+    """The seed of the rays."""
 
     def __init__(
         self,
@@ -239,6 +243,7 @@ class DistributedFormFactors:
         report: Callable[[int, int], object] | None,
     ) -> None:
         self.scene, self.method = rows.scene, rows.method
+        self.tolerance, self.seed = rows.tolerance, rows.seed
         self._rows, self._client = rows, client
         self._lock = threading.Lock()
         self._workers: dict[str, _Worker] = {}

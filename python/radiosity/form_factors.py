@@ -375,13 +375,16 @@ class FormFactors:
                 'use form_factors(..., method="analytic")'
             )
         core, moved = self._core.balance(available_bytes())
-        return FormFactors(core, self.scene, keep.Settings(self.method, self.tolerance, self.seed, moved))
+        # Of factors that have been moved before: as far as both together, at most.
+        return FormFactors(
+            core, self.scene, keep.Settings(self.method, self.tolerance, self.seed, moved + (self.balanced_by or 0.0))
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes everything to a ``.npz`` file, which :func:`load_form_factors` reads, bit for bit, and numpy too.
 
-        An existing file is replaced only by a whole one. It takes no more bytes than :attr:`nbytes`, and 72 a patch for
-        the corners, by which scenes are told apart.
+        An existing file is replaced only by a whole one. It takes no more bytes than :attr:`nbytes`, 72 a patch for
+        the corners, by which scenes are told apart, and some kilobytes.
 
         Raises:
             ValueError: another ending than ``.npz``.

@@ -23,6 +23,8 @@ class _Steps:
 
     def __init__(self, F: Any, tolerance: float, threads: int | None) -> None:
         self.operator = operator_of(F)
+        if not self.operator.is_at_hand:
+            raise ValueError("form factors of a cluster are for one solve at a time; gradients need more")
         self.tolerance = tolerance
         self.threads = threads
 
@@ -67,7 +69,9 @@ def torch_solver(F: Any, tolerance: float = 1e-10, threads: int | None = None) -
         found = steps.backwards(*(x.detach().cpu().numpy() for x in (cotangent, reflectance, h)))
         return tuple(reflectance.new_tensor(x) for x in found)
 
-    parts = {"forward": staticmethod(forward), "backward": staticmethod(backward)}
+    # Not twice: the derivative of the derivative would come out as 0.
+    once = torch.autograd.function.once_differentiable(backward)
+    parts = {"forward": staticmethod(forward), "backward": staticmethod(once)}
     step: Any = type("Radiosity", (torch.autograd.Function,), parts)
     solver: Solver = step.apply
     return solver
@@ -96,7 +100,7 @@ def jax_solver(F: Any, tolerance: float = 1e-10, threads: int | None = None) -> 
         def host(*given: Any) -> tuple[Any, ...]:
             return tuple(np.asarray(x, like.dtype) for x in step(*given))
 
-        return jax.pure_callback(host, (like, like), *arrays)
+        return jax.pure_callback(host, (like, like), *arrays, vmap_method="sequential")
 
     def forward(emission: Any, reflectance: Any) -> Any:
         b, h = called(steps.forwards, emission, reflectance)

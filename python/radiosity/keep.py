@@ -159,7 +159,7 @@ def read(path: str | os.PathLike[str], scene: Scene, check: bool) -> tuple[_core
         _check_arrays(arrays, settings.method, kept["patches"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: damaged, {error}") from error
-    _check_scene(path, arrays.pop("corners"), scene)
+    check_scene(path, arrays.pop("corners"), scene)
     needed = _GROWTH * sum(array.nbytes for array in arrays.values() if not isinstance(array, np.memmap))
     if settings.method == "hierarchical":
         needed += 2 * _BYTES_OF_NODE * scene.n_patches
@@ -213,19 +213,19 @@ def _check_arrays(arrays: dict[str, AnyArray], method: str, n: int) -> None:
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape} and not {np.dtype(kind)} of {told}")
 
 
-def _check_scene(path: Path, corners: FloatArray, scene: Scene) -> None:
+def check_scene(origin: object, corners: FloatArray, scene: Scene) -> None:
     """Refuses a scene whose patches are not where those of the file were, by the first that is not."""
     n = len(corners)
     if n != scene.n_patches:
         raise ValueError(
-            f"{path}: the file is of {counted(n, 'patch', 'patches')} and the scene has {scene.n_patches}: compute the "
+            f"{origin}: it is of {counted(n, 'patch', 'patches')} and the scene has {scene.n_patches}: compute the "
             "form factors again"
         )
     is_mirror, is_glass = scene.mirror > 0.0, scene.ior > 0.0
     if (is_mirror | is_glass).any():
         i = int(np.argmax(is_mirror | is_glass))
         what = "a mirror" if is_mirror[i] else "glass"
-        raise ValueError(f"{path}: patch {i} is {what} now; form factors carry neither mirrors nor glass")
+        raise ValueError(f"{origin}: patch {i} is {what} now; form factors carry neither mirrors nor glass")
     now = corners_of(scene)
     changed = np.flatnonzero((now != corners).any(axis=(1, 2)))
     if not changed.size:
@@ -236,7 +236,7 @@ def _check_scene(path: Path, corners: FloatArray, scene: Scene) -> None:
         what = "has its corners in another order"
     else:
         what = f"was moved, by up to {np.linalg.norm(now[i] - corners[i], axis=1).max():.3g} m"
-    raise ValueError(f"{path}: patch {i} {what}{others}: compute the form factors again")
+    raise ValueError(f"{origin}: patch {i} {what}{others}: compute the form factors again")
 
 
 def _operator(scene: Scene, method: str, arrays: dict[str, AnyArray], kept: dict[str, Any]) -> _core.FormFactors:

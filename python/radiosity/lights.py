@@ -224,7 +224,9 @@ def direct_irradiance(
         progress: see :mod:`radiosity.progress`.
 
     Returns:
-        H0 (n, b) and its standard error (n, b), patch averages, W/m^2.
+        H0 (n, b) and its standard error (n, b), patch averages, W/m^2. The error is 0 where nothing can hide a light,
+        and also where all samples have agreed: of a patch that is hidden in a corner it may be too small. The tolerance
+        is about all patches together.
 
     Raises:
         TypeError, ValueError: no scene, no light, a light of other bands, values out of range, mirrors or glass.
@@ -249,6 +251,12 @@ def direct_irradiance(
             available_bytes(),
             thread_count(threads),
             report,
+        )
+    if not np.isfinite(values).all():
+        patch, band = np.argwhere(~np.isfinite(values))[0].tolist()
+        raise ValueError(
+            f"patch {patch}: its direct irradiance comes out as {values[patch, band]:g} (band {band}): the lights are "
+            "near the limits of floating-point numbers; choose other units"
         )
     if reached > tolerance:
         warnings.warn(
@@ -419,6 +427,9 @@ def _direction(name: str, value: Any) -> Vector:
     largest = max(abs(x), abs(y), abs(z))
     if largest == 0.0:
         raise ValueError(f"{name} {(x, y, z)} has no direction")
+    if abs(math.hypot(x, y, z) - 1.0) <= 4.0 * np.finfo(float).eps:
+        # What is of unit length stays as it is: copies, and what comes back from files, to the bit.
+        return x, y, z
     x, y, z = x / largest, y / largest, z / largest
     length = math.hypot(x, y, z)
     return x / length, y / length, z / length

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from . import _core
 from .arrays import FloatArray, per_patch, read_only, real_number, shaped, thread_count
 from .progress import Progress, reporter
@@ -22,8 +24,9 @@ def _system_of(solution: Solution) -> System:
         raise ValueError(f"{solution!r} is of many states of light: take one, solution[s]")
     if solution.system is None:
         raise ValueError(
-            f"this solution, by method {solution.report.method!r}, has no form factors at hand: "
-            "solve_system(form_factors(scene), scene.emission, scene.reflectance) gives one that has"
+            f"this solution, by method {solution.report.method!r}, has no form factors at hand: those by rays, links "
+            "and with lights, and those from clusters, files and other processes, have none; solve_system(F, emission, "
+            "reflectance) gives one that has, and with the emission E + rho H0 of direct_irradiance it has lights"
         )
     return solution.system
 
@@ -43,6 +46,9 @@ def updated(
     rho = system.reflectance if reflectance is None else reflectance
     # A solution of one band becomes the start of as many as the new lamps or paints have.
     e, rho, start = per_patch(len(solution.radiosity), emission=e, reflectance=rho, solution=solution.radiosity)
+    # Where all is dark or black the answer is known, and what was there before only its rounding.
+    is_known = ~(e.any(axis=0) & rho.any(axis=0))
+    start = np.where(is_known, e, start)
     return solved(system.operator, e, rho, "gmres", tolerance, max_iterations, None, threads, progress, start)
 
 

@@ -139,7 +139,7 @@ def solve(
 
         def load(path: Path) -> Solution:
             found = load_solution(path)
-            if not is_of(found, scene):
+            if not is_of(found, scene) or told(found.lights) != told(lit):
                 raise ValueError(f"{path}: of another scene")
             return dataclasses.replace(found, scene=scene)
 
@@ -257,7 +257,12 @@ def _in_all_bands(solution: Solution, scene: Scene, lights: tuple[Light, ...], b
         irradiance=read_only(solution.irradiance[:, bands]),
         standard_error=None if error is None else read_only(error[:, bands]),
         history=tuple(Step(step.residual, step.unshot[bands]) for step in solution.history),
-        report=dataclasses.replace(report, bands=scene.bands, audit=audit),
+        report=dataclasses.replace(
+            report,
+            bands=scene.bands,
+            audit=audit,
+            bound=None if report.bound is None else read_only(report.bound[bands]),
+        ),
         scene=scene,
         elements=elements,
         lights=lights,
@@ -374,7 +379,7 @@ def _solve_dense(
     folder: Path | None,
 ) -> Solution:
     row_tolerance = _FIRST_ROW_TOLERANCE * tolerance
-    straight, emitting = _first_light(scene, lights, tolerance, seed, threads, progress)
+    straight, noise, emitting = _first_light(scene, lights, tolerance, seed, threads, progress)
     seconds = {"form factors": 0.0, "solve": 0.0}
     segments = 0
     for attempt in range(_ATTEMPTS):
@@ -393,11 +398,16 @@ def _solve_dense(
     on_patches = solution.error_estimate
     if lights:
         on_patches *= _share_of_bounces(scene, emitting, solution)
+        known = np.zeros_like(noise) if solution.standard_error is None else solution.standard_error
+        # What bounces of the noise of many patches is smooth, and next to nothing beside that of each.
+        noise = scene.reflectance * noise
+        on_patches = math.hypot(on_patches, _share(scene, noise, solution.radiosity - scene.emission))
         audit = solution.report.audit
         assert audit is not None  # a scene has areas
         solution = dataclasses.replace(
             solution,
             irradiance=read_only(straight + solution.irradiance),
+            standard_error=read_only(np.hypot(known, noise)),
             report=dataclasses.replace(solution.report, audit=_audit_of_all(audit, scene, straight)),
             scene=scene,
             lights=lights,
@@ -410,18 +420,19 @@ def _solve_dense(
 
 def _first_light(
     scene: Scene, lights: tuple[Light, ...], tolerance: float, seed: int, threads: int | None, progress: Progress
-) -> tuple[FloatArray, Scene]:
-    """H0, and the scene with what it reflects of it among its emission: E + rho H0."""
+) -> tuple[FloatArray, FloatArray, Scene]:
+    """H0, its standard error, and the scene with what it reflects of it among its emission: E + rho H0."""
     if not lights:
-        return np.zeros_like(scene.emission), scene
+        nothing = np.zeros_like(scene.emission)
+        return nothing, nothing, scene
     with warnings.catch_warnings():
         # What is not met is found when the solution is assessed.
         warnings.simplefilter("ignore", UserWarning)
-        straight, _ = direct_irradiance(
+        straight, noise = direct_irradiance(
             scene, lights, _STRAIGHT_SHARE * tolerance, seed=seed, threads=threads, progress=progress
         )
     emission = scene.emission + scene.reflectance * straight
-    return straight, scene.with_materials(scene.reflectance, emission)
+    return straight, noise, scene.with_materials(scene.reflectance, emission)
 
 
 def _audit_of_all(audit: EnergyAudit, scene: Scene, straight: FloatArray) -> EnergyAudit:
@@ -431,13 +442,15 @@ def _audit_of_all(audit: EnergyAudit, scene: Scene, straight: FloatArray) -> Ene
 
 
 def _share_of_bounces(scene: Scene, emitting: Scene, solution: Solution) -> float:
-    """What an error relative to B - E - rho H0 is relative to B - E: the largest ratio of the bands."""
+    """What an error relative to B - E - rho H0 is relative to B - E."""
+    return _share(scene, solution.radiosity - emitting.emission, solution.radiosity - scene.emission)
 
-    def size(values: FloatArray) -> FloatArray:
-        return np.asarray(np.sqrt(scene.areas @ values**2))
 
-    bounced, reflected = size(solution.radiosity - emitting.emission), size(solution.radiosity - scene.emission)
-    return float(np.max(np.divide(bounced, reflected, out=np.zeros_like(bounced), where=reflected > 0.0)))
+def _share(scene: Scene, part: FloatArray, whole: FloatArray) -> float:
+    """The area-weighted RMS of a part relative to that of the whole, the largest ratio of the bands."""
+    sizes = (np.asarray(np.sqrt(scene.areas @ values**2)) for values in (part, whole))
+    of_part, of_whole = sizes
+    return float(np.max(np.divide(of_part, of_whole, out=np.zeros_like(of_part), where=of_whole > 0.0)))
 
 
 def _assessed(

@@ -108,6 +108,8 @@ def solved(
     """:func:`solve_system` for an operator that the core has, with (n, b) emission and reflectance."""
     core, scene, segments, row_error, is_at_hand = operator
     n, bands = emission.shape
+    # What the solution keeps must not change with the caller's arrays.
+    emission, reflectance = read_only(emission.copy()), read_only(reflectance.copy())
     if start is not None:
         if method != "gmres":
             raise ValueError(f"method {method!r} cannot start from a radiosity; method='gmres' can")
@@ -164,8 +166,9 @@ class Solutions(Solution):
 
     ``radiosity`` and ``irradiance`` are (n, b, k). ``error_estimate`` is of all states together: the root of the sum of
     their squared errors over that of their reflected radiosities, from random combinations of states (Hutchinson 1990).
-    ``scene`` and ``system`` have the emission of the first state. There is no standard error and no history; energy
-    audits are those of ``solution[s]``.
+    What is a small part of that may be a large one of a dim state: ``solution[s].error_estimate`` is nan, and a solve
+    of its own tells it. ``scene`` and ``system`` have the emission of the first state. There is no standard error and
+    no history; energy audits are those of ``solution[s]``.
     """
 
     emission: FloatArray
@@ -195,7 +198,7 @@ class Solutions(Solution):
             radiosity=b,
             irradiance=h,
             standard_error=None,
-            error_estimate=self.error_estimate,
+            error_estimate=np.nan,
             history=(),
             report=dataclasses.replace(self.report, residual=float(self.residuals[s]), audit=audit),
             scene=None if scene is None else scene_with(scene, rho, e),
@@ -231,12 +234,11 @@ def _solved_states(
     """:func:`solve_system` for (n, b, k) emission."""
     core, scene, segments, row_error, is_at_hand = operator
     e = shaped("emission", emission, core.n, "b", "k")
-    n, bands, _ = e.shape
+    n, bands, states = e.shape
     rho, _ = per_patch(n, reflectance=reflectance, emission=np.zeros((n, bands)))
-    if rho.shape[1] != bands:
-        raise ValueError(
-            f"the quantities disagree on the number of bands: emission has {bands}, reflectance {rho.shape[1]}"
-        )
+    bands = rho.shape[1]
+    # What the solution keeps must not change with the caller's arrays.
+    e, rho = read_only(np.broadcast_to(e, (n, bands, states)).copy()), read_only(rho.copy())
     if max_iterations is not None:
         max_iterations = whole_number("max_iterations", max_iterations, 1, 2**62)
     begin = perf_counter()

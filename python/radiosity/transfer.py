@@ -15,6 +15,7 @@ import numpy as np
 
 from .arrays import FloatArray, real_array
 from .form_factors import FormFactors, form_factors
+from .keep import check_scene, corners_of
 from .progress import Progress
 from .relight import importance
 from .scene import Scene
@@ -52,7 +53,7 @@ def transfer(
         progress: see :mod:`radiosity.progress`.
 
     Raises:
-        TypeError, ValueError: no scene, form factors of another number of patches, a group that is empty or names
+        TypeError, ValueError: no scene, form factors of other patches, mirrors or glass, a group that is empty or names
             nothing, weights that are not finite, negative emissions.
 
     Sources:
@@ -67,8 +68,10 @@ def transfer(
         raise ValueError(f"patch {patch}: emission {out[patch, group]:g} of emitter {group} is below 0")
     if F is None:
         F = form_factors(scene, tolerance, threads=threads, progress=progress)
-    elif F.shape[0] != scene.n_patches:
-        raise ValueError(f"F has {F.shape[0]} patches and the scene {scene.n_patches}")
+    elif not isinstance(F, FormFactors):
+        raise TypeError(f"F must be radiosity.FormFactors, not {type(F).__name__}")
+    else:
+        check_scene("F", corners_of(F.scene), scene)
     rho, bands = scene.reflectance, scene.bands
     if out.shape[1] <= back.shape[1]:
         emission = np.repeat(out[:, None, :], bands, axis=1)

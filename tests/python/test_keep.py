@@ -238,7 +238,7 @@ def test_another_scene_is_refused_by_what_has_changed(factors, box, tmp_path):
     path = tmp_path / "a.npz"
     factors["analytic"].save(path)
     finer = rad.scenes.cornell_box(max_edge=0.2)
-    with pytest.raises(ValueError, match=f"a.npz: the file is of {box.n_patches} patches and the scene has "):
+    with pytest.raises(ValueError, match=f"a.npz: it is of {box.n_patches} patches and the scene has "):
         rad.load_form_factors(path, finer)
 
     alone = box.vertices[box.faces].reshape(-1, 3)

@@ -178,3 +178,19 @@ def test_what_is_no_light_is_named():
         rad.solve(plate(), 0.1, lights=[rad.Sky(1.0), 3.0])
     with pytest.raises(TypeError, match="lights must be lights"):
         rad.solve(plate(), 0.1, lights=3.0)
+
+
+def test_dense_solutions_know_the_noise_of_a_sky():
+    scene = rad.scenes.city(max_edge=16.0)
+    solutions = [
+        rad.solve(scene, 0.05, "dense", lights=rad.Sky(100.0, "overcast"), seed=seed, progress=False)
+        for seed in range(6)
+    ]
+    spread = np.std([solution.radiosity for solution in solutions], axis=0, ddof=1)
+    told = np.mean([solution.standard_error for solution in solutions], axis=0)
+
+    def size(values):
+        return np.sqrt(scene.areas @ values**2).max()
+
+    # The spread of six is known to a few per cent of some hundred patches together; what is told is from few scrambles.
+    assert 0.5 * size(spread) <= size(told) <= 2.0 * size(spread)

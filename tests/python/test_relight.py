@@ -95,6 +95,7 @@ def test_states_are_refused_by_patch_band_and_state(room, F, emissions):
         rad.solve_system(F, emissions[:, :, :0], room.reflectance, **QUIET)
     with pytest.raises(ValueError, match="bands"):
         rad.solve_system(F, emissions[:, :2], room.reflectance, **QUIET)
+    assert np.isnan(rad.solve_system(F, emissions, room.reflectance, "direct", **QUIET)[0].error_estimate)
     with pytest.raises(ValueError, match="one state"):
         rad.solve_system(F, emissions, room.reflectance, "gmres", start=emissions[:, :, 0], **QUIET)
     with pytest.raises(rad.ConvergenceError) as caught:
@@ -127,6 +128,35 @@ def test_other_lamps_and_paints_from_the_solution_before(room, F):
     assert np.array_equal(after.scene.reflectance, paint)
 
 
+def test_what_a_solution_keeps_is_its_own(room, F):
+    e, rho = room.emission.copy(), room.reflectance.copy()
+    solution = rad.solve_system(F, e, rho, "gmres", **QUIET)
+    states = rad.solve_system(F, e[:, :, None] * [1.0, 2.0], rho, "gmres", **QUIET)
+    before = solution.vjp(np.ones_like(e), **QUIET), states[1].scene.emission.copy()
+    e *= 3.0
+    rho *= 0.5
+    assert np.array_equal(solution.vjp(np.ones_like(e), **QUIET).reflectance, before[0].reflectance)
+    assert np.array_equal(states[1].scene.emission, before[1])
+
+
+def test_bands_that_go_dark_are_dark(room, F):
+    solution = rad.solve_system(F, room.emission, room.reflectance, "gmres", **QUIET)
+    dark = solution.update(emission=room.emission * [1.0, 1.0, 0.0], **QUIET)
+    assert not dark.radiosity[:, 2].any()
+    # As much as that of the same solve from nothing, which kernels and visibility make.
+    anew = rad.solve_system(F, room.emission * [1.0, 1.0, 0.0], room.reflectance, "gmres", **QUIET)
+    assert dark.error_estimate <= 1.5 * anew.error_estimate
+    assert np.array_equal(solution.update(reflectance=0.0, **QUIET).radiosity, room.emission)
+
+
+def test_one_band_of_emission_is_for_all(room, F):
+    e = np.random.default_rng(6).uniform(size=(room.n_patches, 1, 3))
+    states = rad.solve_system(F, e, room.reflectance, "direct", **QUIET)
+    alone = rad.solve_system(F, e[:, :, 2], room.reflectance, "direct", **QUIET)
+    # LU factors of the same matrix; sums of some hundred products in another order.
+    np.testing.assert_allclose(states.radiosity[:, :, 2], alone.radiosity, rtol=1e-12)
+
+
 def test_solve_by_dense_factors_can_be_updated(room):
     solution = rad.solve(room, 0.1, "dense", **QUIET)
     brighter = solution.update(emission=2.0 * room.emission, tolerance=1e-9, **QUIET)
@@ -136,8 +166,10 @@ def test_solve_by_dense_factors_can_be_updated(room):
 
 def test_solutions_without_factors_say_so(room):
     solution = rad.solve(room, 0.1, **QUIET)
-    for use in (solution.update, lambda: solution.vjp(np.ones_like(solution.radiosity))):
-        with pytest.raises(ValueError, match="has no form factors at hand: solve_system"):
+    lit = rad.solve(room, 0.1, "dense", lights=rad.PointLight((2, 2, 1), 1.0), **QUIET)
+    assert lit.system is None
+    for use in (solution.update, lit.update, lambda: solution.vjp(np.ones_like(solution.radiosity))):
+        with pytest.raises(ValueError, match=r"has no form factors at hand: .*solve_system"):
             use()
 
 
@@ -268,6 +300,16 @@ def test_groups_of_transfer_have_names_masks_or_weights():
     for bad in ("lamp", [], [[0.5]]):
         with pytest.raises(TypeError):
             rad.transfer(scene, bad, ["walls"], F=F, **QUIET)
+
+
+def test_transfer_takes_factors_of_its_own_patches_only(room, F):
+    stretched = rad.Scene(room.vertices * [1, 1, 2], room.faces, room.reflectance)
+    with pytest.raises(ValueError, match=r"F: patch 34 was moved, by up to 3 m \(280 patches have changed\)"):
+        rad.transfer(stretched, [[0]], [[1]], F=F, **QUIET)
+    with pytest.raises(ValueError, match="F: patch 3 is a mirror now"):
+        rad.transfer(room.with_materials(mirror=np.eye(1, room.n_patches, 3)[0]), [[0]], [[1]], F=F, **QUIET)
+    with pytest.raises(TypeError, match=r"F must be radiosity\.FormFactors"):
+        rad.transfer(room, [[0]], [[1]], F=F.toarray(), **QUIET)
 
 
 def finite_difference(F, e, rho, weights, step=1e-6):

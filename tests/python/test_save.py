@@ -227,3 +227,13 @@ def test_a_solution_without_a_step_is_kept_too(tmp_path):
     assert black.history == ()
     rad.save(black, tmp_path / "black.npz")
     assert_same(rad.load_solution(tmp_path / "black.npz"), black)
+
+
+def test_bands_that_are_equal_come_back(tmp_path):
+    scene = rad.scenes.cornell_box(max_edge=0.5)
+    grey = scene.with_materials(0.5, np.repeat(scene.emission[:, :1], 3, axis=1))
+    for cache in (None, tmp_path / "cache"):
+        solution = rad.solve(grey, 0.2, "dense", cache=cache, progress=False)
+        assert solution.report.bound.shape == (3,)
+        rad.save(solution, tmp_path / "grey.npz")
+        assert np.array_equal(rad.load_solution(tmp_path / "grey.npz").radiosity, solution.radiosity)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import whole_number
 from ..scene import Scene
 from .builder import Builder, refined
 
@@ -45,8 +46,7 @@ def crater(depth: float = 0.2, rings: int = 12, reflectance: Any = 0.1) -> Scene
     """
     if not (math.isfinite(depth) and 0.0 < depth <= 0.5):
         raise ValueError(f"depth {depth} is outside (0, 0.5] diameters")
-    if isinstance(rings, bool) or not isinstance(rings, int) or not 1 <= rings <= 2000:
-        raise ValueError(f"rings {rings} is no whole number in 1 .. 2000")
+    rings = whole_number("rings", rings, 1, 2000)
     radius = (0.25 + depth**2) / (2.0 * depth)
     widest = math.acos((radius - depth) / radius)
     points, faces, first = [(0.0, 0.0, -depth)], [], [0]
