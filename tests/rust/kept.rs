@@ -80,7 +80,8 @@ fn a_dense_operator_of_few_entries_comes_back() {
     assert!(invalid(whole).contains("entries, not"));
     // A row that has two columns, and is not the last.
     let row = (0..n).find(|&i| start[i + 1] - start[i] > 1).unwrap();
-    let edits: [&dyn Fn(&mut Vec<usize>); 6] = [
+    type Edit<'a> = &'a dyn Fn(&mut Vec<usize>);
+    let edits: [Edit<'_>; 6] = [
         &|start| start[0] = 1,
         &|start| start[row] = usize::MAX,
         &|start| start[n] -= 1,
