@@ -75,6 +75,8 @@ pub struct Dense {
 const KERNEL_SHARE: f64 = 0.02;
 /// Fixed number of partial sums in a product, whatever the number of threads: the same bits every time.
 const PARTS: usize = 32;
+/// Hardly a scene has fewer pairs that see each other than one in so many: what would not fit then is refused before any work.
+const FEWEST: u64 = 64;
 /// Pairs between two looks at the memory: some seconds of work, and rows of 128 MiB at most on their way into the triangle.
 const BLOCK: usize = 1 << 24;
 /// From so many columns on a product goes tile by tile.
@@ -105,7 +107,8 @@ impl Dense {
             remedy: "use fewer patches (a larger max_edge)".to_string(),
         };
         let blockers = Blockers::of_scene(scene);
-        if blockers.bodies.is_empty() && Dense::forecast(n) > options.memory {
+        let least = if blockers.bodies.is_empty() { 1 } else { FEWEST };
+        if Dense::forecast(n) / least > options.memory {
             return Err(too_much(Dense::forecast(n)));
         }
         let work = Work {
@@ -420,6 +423,9 @@ impl Work<'_> {
         let (mut candidates, mut segments) = (Vec::new(), 0);
         let found = pairs.iter().zip(&view.patches).zip(&mut exchange).filter(|(_, g)| **g > 0.0);
         for (k, ((&[i, j], &(_, list)), g)) in found.enumerate() {
+            if k % PAIRS == 0 {
+                progress.advance(0)?;
+            }
             let near = view.bodies[list as usize].as_slice();
             let shaft = || Shaft::new(&patches[i as usize].corners, &patches[j as usize].corners);
             if near.is_empty() || !bodies.may_meet(near, &shaft(), [i, j]) {
@@ -431,9 +437,6 @@ impl Work<'_> {
                 candidates.push(c);
             } else {
                 *g *= c.visible;
-            }
-            if k % PAIRS == 0 {
-                progress.advance(0)?;
             }
         }
         progress.advance(i as u64)?;

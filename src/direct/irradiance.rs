@@ -69,8 +69,8 @@ pub fn irradiance(
     let (n, bands) = (scene.len(), scene.bands());
     let numbers = (bands * (SCRAMBLES + 3) * size_of::<f64>() + lights.len()) as u64;
     refuse_lack_of_memory(scene, numbers, "the light on", memory)?;
-    let (tree, blockers, lamps) = (Bvh::of_scene(scene), Bvh::of_scene(scene), Lamps::none(bands));
-    let surroundings = Surroundings { scene, lamps: &lamps, lights, tree: &tree, blockers: &blockers };
+    let (tree, lamps) = (Bvh::of_scene(scene), Lamps::none(bands));
+    let surroundings = Surroundings { scene, lamps: &lamps, lights, tree: &tree, blockers: &tree };
     let mut lighting = Lighting::new(n, bands, lights);
     // Not the samples that a solve takes, by which what rests on this may be assessed.
     let seed = hash(seed ^ hash(STREAM));

@@ -8,12 +8,15 @@
 //!   H0_i = I omega / A_i  x  mean over directions to the patch of (part of the cone) x V
 //!
 //! because cos dA / r^2 is d omega (omega by Van Oosterom & Strackee 1983). A point that nothing hides makes no noise, however near;
-//! and none a point or a sun that is hidden.
+//! and none a point or a sun that is hidden. Where the edge of a spot's beam crosses a patch, its cone takes directions as well as the
+//! patch does, and both count by the balance heuristic (Veach & Guibas 1995): either may be a small part of the other.
+
+use std::f64::consts::FRAC_PI_2;
 
 use rayon::prelude::*;
 
 use super::lamp::{Point, point_in_spherical_triangle};
-use super::lights::{Light, Lights, Question, is_before};
+use super::lights::{Cone, Light, Lights, Question, angle_between, is_before};
 use super::{SCRAMBLES, Surroundings};
 use crate::error::Result;
 use crate::geometry::polygon::{Plane, centre};
@@ -31,6 +34,8 @@ const SMALL: f64 = 1e-4;
 const WATCH: f64 = 0.25;
 /// Samples that are taken together.
 const TOGETHER: u32 = 1024;
+/// All patches together take no fewer: where these are few, what hides a small part of one counts.
+const LEAST: usize = 1 << 16;
 
 /// What the segments from a patch to a light have met.
 const OPEN: u8 = 1;
@@ -56,6 +61,8 @@ struct Seen {
     position: Vec3,
     triangle: Triangle,
     plane: Plane,
+    /// The solid angle, sr.
+    omega: f64,
     /// omega / A.
     factor: f64,
     /// Unit vectors to the corners; none where the patch is too small for them.
@@ -73,20 +80,65 @@ impl Seen {
         let middle = centre(&triangle);
         let radius = triangle.iter().map(|corner| corner.distance(middle)).fold(0.0, f64::max);
         let corners = (radius > SMALL * middle.distance(position)).then_some([p, q, r]);
-        Seen { position, triangle, plane, factor: omega / area, corners }
+        Seen { position, triangle, plane, omega, factor: omega / area, corners }
     }
 
     /// The point of the patch that belongs to (u, v) in the unit square.
     fn point(&self, u: f64, v: f64) -> Vec3 {
-        if let Some(corners) = &self.corners {
-            let along = point_in_spherical_triangle(corners, u, v);
-            let down = along.dot(self.plane.normal);
-            if down < 0.0 {
-                return self.position - self.plane.distance(self.position) / down * along;
-            }
-        }
+        let towards = |corners| self.towards(point_in_spherical_triangle(corners, u, v));
         // An edge seen at grazing incidence can throw the direction past the plane.
-        point_in_triangle(&self.triangle, u, v)
+        self.corners.as_ref().and_then(towards).unwrap_or_else(|| point_in_triangle(&self.triangle, u, v))
+    }
+
+    /// Where a unit vector from the position meets the plane.
+    fn towards(&self, along: Vec3) -> Option<Vec3> {
+        let down = along.dot(self.plane.normal);
+        (down < 0.0).then(|| self.position - self.plane.distance(self.position) / down * along)
+    }
+
+    /// A unit vector from the position if it meets the patch.
+    fn holds(&self, along: Vec3) -> Option<Vec3> {
+        let [p, q, r] = self.corners?;
+        let sides = [p.cross(q), q.cross(r), r.cross(p)].map(|side| side.dot(along));
+        let is_within = sides.iter().all(|side| *side >= 0.0) || sides.iter().all(|side| *side <= 0.0);
+        (is_within && p.dot(along) + q.dot(along) + r.dot(along) > 0.0).then_some(along)
+    }
+}
+
+/// How a patch lies in the cone of a spot.
+enum Beam<'a> {
+    /// All of it in the full beam.
+    Within,
+    /// Nowhere.
+    Beside,
+    /// In part, or unevenly: with the solid angles of the patch and of the cone.
+    Across { cone: &'a Cone, omega: f64, size: f64 },
+}
+
+impl<'a> Beam<'a> {
+    fn new(cone: &'a Cone, seen: &Seen) -> Beam<'a> {
+        let Some(corners) = &seen.corners else {
+            // So small a patch is one direction.
+            let part = cone.part((centre(&seen.triangle) - seen.position).normalize_or_zero());
+            let is_even = part == 1.0 && cone.beam > SMALL;
+            return if is_even { Beam::Within } else { Beam::of_cone(cone, seen) };
+        };
+        // Cones below a right angle are convex.
+        let angles = corners.map(|corner| cone.angle(corner));
+        let is_within = cone.beam < FRAC_PI_2 && angles.iter().all(|angle| *angle <= cone.beam);
+        // All directions to the patch lie around its middle, none further from it than a corner.
+        let middle = corners.iter().copied().sum::<Vec3>().normalize_or_zero();
+        let radius = corners.iter().map(|corner| angle_between(middle, *corner)).fold(0.0, f64::max);
+        let is_beside = radius < FRAC_PI_2 && cone.angle(middle) > cone.cutoff + radius;
+        match (is_within, is_beside) {
+            (true, _) => Beam::Within,
+            (_, true) => Beam::Beside,
+            _ => Beam::of_cone(cone, seen),
+        }
+    }
+
+    fn of_cone(cone: &'a Cone, seen: &Seen) -> Beam<'a> {
+        Beam::Across { cone, omega: seen.omega, size: cone.size() }
     }
 }
 
@@ -114,6 +166,8 @@ impl Lighting {
         progress: &Progress,
     ) -> Result<()> {
         let (bands, lights) = (self.bands, surroundings.lights.len());
+        let least = LEAST.div_ceil(self.samples.len().max(1) * SCRAMBLES) as u32;
+        progress.expect(self.samples.len() as u64);
         let rows = self.sums.par_chunks_mut(SCRAMBLES * bands).zip(&mut self.samples).enumerate();
         let cast: Result<Vec<u64>> = rows
             .zip(self.met.par_chunks_mut(lights.max(1)))
@@ -121,6 +175,7 @@ impl Lighting {
                 progress.advance(0)?;
                 let is_even = *samples > 0 && met.iter().all(|met| *met != UNEVEN);
                 let target = if is_even { (WATCH * f64::from(wanted(i))).ceil() as u32 } else { wanted(i) };
+                let target = target.max(least);
                 let mut cast = 0;
                 while *samples < target {
                     let next = target.min(*samples + TOGETHER);
@@ -132,6 +187,7 @@ impl Lighting {
                     *samples = next;
                     progress.advance(0)?;
                 }
+                progress.advance(1)?;
                 Ok(cast)
             })
             .collect();
@@ -194,37 +250,58 @@ fn add(
             _ => None,
         };
         let (mut questions, mut segments): (Vec<Question>, Vec<Segment>) = (Vec::new(), Vec::new());
+        let mut ask = |x: Vec3, question: Question| {
+            questions.push(question);
+            segments.push(Segment { start: x, end: question.end, exclude: [patch, NO_PATCH] });
+        };
+        let beam = match (light, &seen) {
+            (Light::Point { cone: Some(cone), .. }, Some(seen)) => Some(Beam::new(cone, seen)),
+            _ => None,
+        };
         for k in numbers.clone() {
             let [a, b, u, v] = sobol.point(k);
-            let x = seen.as_ref().map_or_else(|| point_in_triangle(&triangle, u, v), |seen| seen.point(u, v));
-            let question = match (light, &seen) {
-                (Light::Point { position, cone, .. }, Some(seen)) => {
-                    let part = cone.map_or(1.0, |cone| cone.part((x - *position).normalize_or_zero()));
-                    (part > 0.0).then_some(Question { end: *position, cell: 0, factor: part * seen.factor })
+            match (light, &seen, &beam) {
+                (_, Some(seen), Some(Beam::Across { cone, omega, size })) => {
+                    // The patch's own directions, and the cone's.
+                    let of_patch = (seen.point(u, v) - seen.position).normalize_or_zero();
+                    for along in [Some(of_patch), seen.holds(cone.direction(a, b))].into_iter().flatten() {
+                        let factor = cone.part(along) * seen.factor / (1.0 + omega / size);
+                        if let Some(x) = seen.towards(along).filter(|_| factor > 0.0) {
+                            ask(x, Question { end: seen.position, cell: 0, factor });
+                        }
+                    }
                 }
-                _ => lights.question(l, tree, &Point { x, normal, patch }, [a, b]),
-            };
-            match question {
-                Some(question) => {
-                    questions.push(question);
-                    segments.push(Segment { start: x, end: question.end, exclude: [patch, NO_PATCH] });
+                (_, Some(_), Some(Beam::Beside)) => {}
+                (_, Some(seen), _) => {
+                    ask(seen.point(u, v), Question { end: seen.position, cell: 0, factor: seen.factor });
                 }
-                None => *met |= BLOCKED,
+                _ => {
+                    let x = point_in_triangle(&triangle, u, v);
+                    match lights.question(l, tree, &Point { x, normal, patch }, [a, b]) {
+                        Some(question) => ask(x, question),
+                        None => *met |= BLOCKED,
+                    }
+                }
             }
         }
         let hidden = tree.blocked_between(&segments);
         let is_even = match light {
-            Light::Sun { .. } | Light::Point { cone: None, .. } => true,
-            Light::Point { .. } => questions.windows(2).all(|pair| pair[0].factor == pair[1].factor),
+            Light::Sun { .. } | Light::Point { .. } => !matches!(beam, Some(Beam::Across { .. })),
             Light::Sky(sky) => sky.is_constant(),
         };
-        for (question, blocked) in questions.iter().zip(hidden) {
+        let mut open = questions.iter().zip(hidden).filter_map(|(question, blocked)| {
             *met |= if blocked { BLOCKED } else { OPEN };
-            if !blocked {
-                lights.add(l, question.cell, question.factor, sums);
+            (!blocked).then_some(question)
+        });
+        if is_even {
+            // All alike: one product rounds less than a sum.
+            if let Some(Question { cell, factor, .. }) = open.next() {
+                lights.add(l, *cell, (1 + open.count()) as f64 * factor, sums);
             }
+        } else {
+            open.for_each(|question| lights.add(l, question.cell, question.factor, sums));
         }
-        if !is_even && *met & OPEN != 0 {
+        if !is_even && (beam.is_some() || *met & OPEN != 0) {
             *met |= UNEVEN;
         }
         cast += segments.len() as u64;

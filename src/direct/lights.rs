@@ -9,6 +9,8 @@
 //!
 //! A sky is asked in one random direction ([`super::sky`]); all other lights have one way to every point, and no noise.
 
+use std::f64::consts::PI;
+
 use super::lamp::{GRAIN, Point};
 use super::sky::Sky;
 use crate::error::{Error, Result};
@@ -27,10 +29,29 @@ pub struct Cone {
 }
 
 impl Cone {
+    /// The angle between the axis and a unit vector.
+    pub(super) fn angle(&self, along: Vec3) -> f64 {
+        angle_between(self.axis, along)
+    }
+
+    /// The solid angle of all light, 2 pi (1 - cos cutoff), sr.
+    pub(super) fn size(&self) -> f64 {
+        4.0 * PI * (0.5 * self.cutoff).sin().powi(2)
+    }
+
+    /// The direction that belongs to (u, v) in the unit square, even over the solid angle.
+    pub(super) fn direction(&self, u: f64, v: f64) -> Vec3 {
+        // 1 - cos of the angle is even from 0 to that of the cutoff.
+        let half = u.sqrt() * (0.5 * self.cutoff).sin();
+        let (sin, cos) = (2.0 * half * (1.0 - half * half).sqrt(), 1.0 - 2.0 * half * half);
+        let (x, y) = self.axis.any_orthonormal_pair();
+        let (s, c) = (2.0 * PI * v).sin_cos();
+        (sin * c) * x + (sin * s) * y + cos * self.axis
+    }
+
     /// What part of the intensity goes along a unit vector.
     pub(super) fn part(&self, along: Vec3) -> f64 {
-        // The angle between unit vectors, good at both ends (Kahan 2006, "How futile are mindless assessments", section 12).
-        let angle = 2.0 * (self.axis - along).length().atan2((self.axis + along).length());
+        let angle = self.angle(along);
         if angle <= self.beam {
             1.0
         } else if angle >= self.cutoff {
@@ -39,6 +60,11 @@ impl Cone {
             (self.cutoff - angle) / (self.cutoff - self.beam)
         }
     }
+}
+
+/// The angle between unit vectors, good at both ends (Kahan 2006, "How futile are mindless assessments", section 12).
+pub(super) fn angle_between(a: Vec3, b: Vec3) -> f64 {
+    2.0 * (a - b).length().atan2((a + b).length())
 }
 
 /// A source of light that is no patch.

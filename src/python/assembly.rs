@@ -432,7 +432,7 @@ impl FormFactors {
         })
     }
 
-    /// Bytes that the dense operator of n patches holds at least.
+    /// Bytes that the dense operator of n patches holds at most, but for 16 a pair of which a part is hidden.
     #[staticmethod]
     fn dense_forecast(n: usize) -> u64 {
         Dense::forecast(n)

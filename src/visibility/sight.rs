@@ -53,6 +53,8 @@ struct Extent {
     high: Vec3,
     /// Smallest and largest components of the normals.
     normals: [Vec3; 2],
+    /// Whether a patch stands in a body, or reaches into one: that may be open on a side, and hide nothing of what is in it.
+    is_entangled: bool,
 }
 
 /// A cluster, in the order of a walk from the root.
@@ -68,9 +70,9 @@ struct Node {
 }
 
 impl Extent {
-    fn of(triangle: &Triangle, normal: Vec3) -> Extent {
-        let (low, high) = extremes(triangle.iter().copied());
-        Extent { low, high, normals: [normal; 2] }
+    fn of(scene: &Scene, bodies: &Bodies, i: u32) -> Extent {
+        let (low, high) = extremes(scene.triangle(i as usize));
+        Extent { low, high, normals: [scene.normals()[i as usize]; 2], is_entangled: bodies.entangled(i) }
     }
 
     fn joined(self, other: &Extent) -> Extent {
@@ -79,6 +81,7 @@ impl Extent {
             low: self.low.min(other.low),
             high: self.high.max(other.high),
             normals: [a[0].min(b[0]), a[1].max(b[1])],
+            is_entangled: self.is_entangled || other.is_entangled,
         }
     }
 
@@ -87,7 +90,7 @@ impl Extent {
         std::array::from_fn(|c| Vec3::new(pick(c & 1, 0), pick(c >> 1 & 1, 1), pick(c >> 2, 2)))
     }
 
-    /// Whether all of `other` lies behind, or in, the plane of every patch here.
+    /// Whether all of `other` lies behind the plane of every patch here.
     fn is_before(&self, other: &Extent, slack: f64) -> bool {
         let (near, far) = (other.low - self.high, other.high - self.low);
         let [m, n] = self.normals;
@@ -100,8 +103,7 @@ impl Sights {
     /// # Errors
     /// [`crate::Error::Interrupted`].
     pub fn new(scene: &Scene, bodies: &Bodies, progress: &Progress) -> Result<Sights> {
-        let extents: Vec<Extent> =
-            (0..scene.len()).map(|i| Extent::of(&scene.triangle(i), scene.normals()[i])).collect();
+        let extents: Vec<Extent> = (0..scene.len() as u32).map(|i| Extent::of(scene, bodies, i)).collect();
         let mut order: Vec<u32> = (0..scene.len() as u32).collect();
         let mut nodes = Vec::new();
         if !order.is_empty() {
@@ -132,7 +134,8 @@ impl Sights {
         let corners = from.corners();
         let (mut seen, mut k) = (Vec::new(), 0);
         while let Some(node) = self.nodes.get(k) {
-            let apart = self.are_turned_away(from, &node.extent) || bodies.hide(&corners, &node.extent.corners());
+            let apart = self.are_turned_away(from, &node.extent)
+                || are_hidden(bodies, from, &corners, &node.extent, &node.extent.corners());
             if node.is_leaf && !apart {
                 seen.push(k as u32);
             }
@@ -147,15 +150,14 @@ impl Sights {
 
     /// What patch i of a scene may see of the patches j < i.
     pub fn before(&self, i: u32, scene: &Scene, bodies: &Bodies) -> View {
-        let (triangle, normal) = (scene.triangle(i as usize), scene.normals()[i as usize]);
-        let own = Extent::of(&triangle, normal);
+        let (triangle, own) = (scene.triangle(i as usize), Extent::of(scene, bodies, i));
         let mut view = View::default();
         for &k in &self.seen[self.leaf_of[i as usize] as usize] {
             let node = &self.nodes[k as usize];
             let corners = node.extent.corners();
             let patches = || self.order[node.first..node.end].iter().copied().filter(|&j| j < i);
             let is_empty = self.are_turned_away(&own, &node.extent) || patches().next().is_none();
-            if is_empty || bodies.hide(&triangle, &corners) {
+            if is_empty || are_hidden(bodies, &own, &triangle, &node.extent, &corners) {
                 continue;
             }
             let shaft = Shaft::between(&triangle, &corners, [Some(scene.plane(i as usize)), None]);
@@ -166,6 +168,11 @@ impl Sights {
         view.patches.sort_unstable();
         view
     }
+}
+
+/// Whether one body hides all between the hulls of two sets of points, in which these patches are.
+fn are_hidden(bodies: &Bodies, a: &Extent, hull_a: &[Vec3], b: &Extent, hull_b: &[Vec3]) -> bool {
+    !a.is_entangled && !b.is_entangled && bodies.hide(hull_a, hull_b)
 }
 
 /// Adds the node of some patches, from the place `first` on, and those below it: halves by direction, then by place.

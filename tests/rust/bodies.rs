@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use radiosity::Progress;
+use radiosity::assembly::{Estimator, FormFactors, Sampled, SampledOptions};
 use radiosity::geometry::Vec3;
 use radiosity::geometry::polygon::area;
 use radiosity::scene::{Scene, Sides};
@@ -10,7 +11,7 @@ use radiosity::visibility::bodies::Bodies;
 use radiosity::visibility::body::Body;
 use radiosity::visibility::{Bvh, Segment};
 
-use super::common::{Mesh, PLENTY, Random, box_from, icosphere, plate, rotated, vec3};
+use super::common::{Mesh, PLENTY, Random, assert_close, box_from, dense, icosphere, plate, rotated, vec3};
 
 /// A closed box with its fronts outside.
 fn block(low: Vec3, high: Vec3, k: usize) -> Mesh {
@@ -462,4 +463,32 @@ fn bodies_block_what_rays_find_blocked() {
     }
     let scene = boxes(4).map(|v| v + 1e6).scene();
     assert_blocks_like_rays(&scene, low + 1e6, high + 1e6, 1000, 8);
+}
+
+/// A shade open below, and in it a bulb, in a cluster with others beside it: it lights what is under it.
+#[test]
+fn what_stands_in_an_open_body_is_seen_through_the_opening() {
+    let shade = cover(vec3(-1.0, -1.0, 0.0), vec3(1.0, 1.0, 1.0), 1);
+    let desk = plate(vec3(-1.0, -1.0, -1.0), 2.0 * Vec3::X, 2.0 * Vec3::Y, 4);
+    // Facing down.
+    let bulb = plate(vec3(-0.1, -0.1, 0.5), 0.2 * Vec3::Y, 0.2 * Vec3::X, 1);
+    let beside =
+        (0..6).fold(bulb.clone(), |mesh, k| mesh.and(&bulb.clone().map(|v| v + vec3(2.0 + f64::from(k), 0.0, 0.0))));
+    // And a shelf that pierces the sides.
+    let shelf = plate(vec3(-3.0, -0.5, 0.4), Vec3::Y, 6.0 * Vec3::X, 1);
+    for (name, inside) in [("bulb", beside), ("shelf", shelf)] {
+        let scene = shade.clone().and(&desk).and(&inside).scene();
+        let (first, lamp) = (shade.faces.len(), shade.faces.len() + desk.faces.len());
+        let options = SampledOptions { tolerance: 0.02, seed: 1, memory: PLENTY };
+        let rays = Sampled::new(&scene, Estimator::MonteCarlo, options, &Progress::default()).unwrap();
+        let sum = |f: &dyn FormFactors| {
+            let mut row = vec![0.0; scene.len()];
+            f.row(lamp, &mut row);
+            row[first..lamp].iter().sum::<f64>()
+        };
+        let exact = sum(&dense(&scene, 1e-3, 0));
+        assert!(exact > 0.1, "{name}: {exact}");
+        // Rows by rays are within 2 % in the mean.
+        assert_close(exact, sum(&rays), 0.06);
+    }
 }

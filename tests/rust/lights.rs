@@ -211,3 +211,40 @@ fn bad_lights_are_named() {
     progress.stop();
     assert!(irradiance(&one, &sun(UP), 0.1, 0, PLENTY, &progress).is_err());
 }
+
+/// Narrow beams on large patches: all of the light arrives, whatever the patches.
+#[test]
+fn a_spot_is_found_on_a_patch_of_any_size() {
+    let large = floor(0.0).map(|v| 100.0 * v - vec3(50.0, 50.0, 0.0));
+    for cutoff in [0.5f64, 0.1, 0.01, 1e-4] {
+        let cone = Cone { axis: vec3(0.0, 0.0, -1.0), beam: cutoff, cutoff };
+        let light = Light::Point { position: vec3(0.3, 0.2, 2.0), intensity: vec![2.0], cone: Some(cone) };
+        for seed in 0..4 {
+            let told =
+                irradiance(&scene(&large), &of(light.clone()), 0.01, seed, PLENTY, &Progress::default()).unwrap();
+            // I times the solid angle of the cone, to the tolerance at 3 standard errors.
+            let power: f64 = told.values.iter().map(|h| 5000.0 * h).sum();
+            let all = 2.0 * 4.0 * PI * (0.5 * cutoff).sin().powi(2);
+            assert!((power / all - 1.0).abs() <= 0.03, "cutoff {cutoff}, seed {seed}: {power} of {all}");
+        }
+    }
+    // In the full beam there is no noise, and beside it no light.
+    let beam = Cone { axis: vec3(0.0, 0.0, -1.0), beam: 1.2, cutoff: 1.4 };
+    let spot = |cone| Light::Point { position: vec3(0.5, 0.5, 1.0), intensity: vec![2.0], cone };
+    let level = scene(&floor(0.0));
+    assert_eq!(found(&level, &of(spot(Some(beam))), 0.1).values, found(&level, &of(spot(None)), 0.1).values);
+    let away = Cone { axis: vec3(1.0, 0.0, 0.0), beam: 0.1, cutoff: 0.2 };
+    assert_eq!(found(&level, &of(spot(Some(away))), 0.1).values, [0.0, 0.0]);
+}
+
+/// What hides a small part of few patches is met.
+#[test]
+fn a_narrow_shadow_on_two_patches_is_found() {
+    let bar = floor(0.5).map(|v| vec3(v.x, 0.4 + 0.002 * v.y, v.z));
+    for seed in 0..4 {
+        let lit =
+            irradiance(&scene(&floor(0.0).and(&bar)), &sun(UP), 1e-4, seed, PLENTY, &Progress::default()).unwrap();
+        // Of 3 W/m^2, 0.2 % are in the shadow; to four standard errors of the tolerance.
+        assert_close(0.5 * (lit.values[0] + lit.values[1]), 3.0 * 0.998, 4.0 * 3e-4);
+    }
+}
