@@ -228,8 +228,10 @@ def _check(scene: Scene, tolerance: float, method: str, order: int) -> None:
 def _distinct_bands(scene: Scene, lights: tuple[Light, ...]) -> tuple[Scene, tuple[Light, ...], IntArray]:
     """Scene and lights in which no two bands are equal, and for every band of ``scene`` its number there."""
     columns = np.vstack([scene.reflectance, scene.emission, *([spectra(lights)] if lights else [])])
-    _, first, inverse = np.unique(columns, axis=1, return_index=True, return_inverse=True)
-    bands = np.asarray(inverse, np.int64).reshape(-1)
+    # By their bytes: numpy's `unique` of columns makes a TypeError of Ctrl-C.
+    told_apart = [column.tobytes() for column in columns.T]
+    first = [b for b, column in enumerate(told_apart) if column not in told_apart[:b]]
+    bands = np.array([first.index(told_apart.index(column)) for column in told_apart])
     if len(first) == scene.bands:
         return scene, lights, np.arange(scene.bands)
     chosen = scene.with_materials(scene.reflectance[:, first], scene.emission[:, first])
