@@ -22,7 +22,7 @@ const RESIDUALS: [f64; 2] = [1e-6, 0.03];
 /// Numbers in the columns that are followed together.
 const TOGETHER: usize = 1 << 18;
 /// Vectors of them that are alive at a time: those of Krylov, the sums on the way, sources and results.
-const VECTORS: usize = 40;
+const VECTORS: usize = 30;
 
 /// Bytes that following the residuals takes for a while.
 pub(super) fn bytes_to_follow(n: usize, bands: usize) -> u64 {
