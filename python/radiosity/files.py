@@ -34,7 +34,10 @@ def replacing(path: Path) -> Iterator[str]:
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
         with suppress(FileNotFoundError):
             os.unlink(temporary)
+        # What Ctrl-C has left open zipfile cannot close, and that is what it says then.
+        if isinstance(error, ValueError) and isinstance(error.__context__, KeyboardInterrupt):
+            raise error.__context__ from None
         raise

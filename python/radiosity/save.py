@@ -97,13 +97,7 @@ def save(
         if kind == ".npz":
             contents = _contents(solution)
             # The directory of a zip file has no checksum: what it has lost would not be missed.
-            try:
-                np.savez_compressed(temporary, arrays=np.int64(len(contents)), **contents)
-            except ValueError as error:
-                # What Ctrl-C has left open zipfile cannot close, and that is what it says then.
-                if isinstance(error.__context__, KeyboardInterrupt):
-                    raise error.__context__ from None
-                raise
+            np.savez_compressed(temporary, arrays=np.int64(len(contents)), **contents)
         elif kind == ".glb":
             Path(temporary).write_bytes(data)
         elif kind == ".ply":

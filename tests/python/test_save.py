@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 import radiosity as rad
+from radiosity.files import replacing
 from radiosity.render import exposure_of, to_srgb
 
 
@@ -237,3 +238,19 @@ def test_bands_that_are_equal_come_back(tmp_path):
         assert solution.report.bound.shape == (3,)
         rad.save(solution, tmp_path / "grey.npz")
         assert np.array_equal(rad.load_solution(tmp_path / "grey.npz").radiosity, solution.radiosity)
+
+
+def interrupted_archive():
+    """Ctrl-C as zipfile has it: it cannot close what is open, and says so in its place."""
+    try:
+        raise KeyboardInterrupt
+    finally:
+        raise ValueError("Can't close the ZIP file")
+
+
+def test_ctrl_c_that_an_archive_hides_is_ctrl_c(tmp_path):
+    with pytest.raises(KeyboardInterrupt), replacing(tmp_path / "a.npz"):
+        interrupted_archive()
+    with pytest.raises(ValueError, match="of its own"), replacing(tmp_path / "a.npz"):
+        raise ValueError("of its own")
+    assert not list(tmp_path.iterdir())
