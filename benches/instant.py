@@ -10,7 +10,7 @@ the mean of the picture: too dark, where a surface shadows itself (acne) or a sh
 light leaks. In a convex room rays are never blocked, so that all that maps take away there is acne.
 """
 
-from statistics import mean
+from statistics import mean, median
 from time import process_time
 
 import numpy as np
@@ -44,6 +44,31 @@ def main() -> None:
             line.append(f"{times}: {found:.2%}")
         print(f"{count} lights, error by bound times area: {', '.join(line)}", flush=True)
     maps(scene)
+    large()
+
+
+def large() -> None:
+    """Pictures of 1,024 x 1,024 pixels by rays and by maps."""
+    try:
+        for name in ("cornell_box", "gallery", "theatre"):
+            large_of(name, getattr(rad.scenes, name)(), rad.Camera(**getattr(rad.scenes, f"{name}_view")()))
+    except (ImportError, RuntimeError) as problem:
+        print(problem)
+
+
+def large_of(name, scene, camera) -> None:
+    """Medians of three, and how far the pictures differ in all but the brightest 3 % of the pixels."""
+    lights, images = rad.virtual_lights(scene, 256, progress=False), {}
+    for shadows in ("rays", "maps"):
+        options = {"lights": lights, "shadows": shadows, "compensate": False, "progress": False}
+        runs = [timed(lambda o=options: rad.instant(scene, camera, 1024, 1024, **o)) for _ in range(3)]
+        images[shadows] = runs[0][0]
+        print(f"{name}, {shadows}: {median(seconds for _, seconds in runs):.1f} s", flush=True)
+    brightest = images["rays"].max(axis=2)
+    pixels = brightest < np.quantile(brightest, 0.97)
+    there, difference = images["rays"][pixels], (images["maps"] - images["rays"])[pixels]
+    rms = np.sqrt((difference**2).sum() / (there**2).sum())
+    print(f"{name}: maps differ by {rms:.2%} RMS, bias {difference.sum() / there.sum():+.3%}", flush=True)
 
 
 def measured(scene, lights, seed, **options):

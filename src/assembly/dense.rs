@@ -350,7 +350,7 @@ impl FormFactors for Dense {
 }
 
 /// Whether this can be an error.
-pub(super) fn is_error(value: f64) -> bool {
+pub(crate) fn is_error(value: f64) -> bool {
     (0.0..f64::INFINITY).contains(&value)
 }
 

@@ -9,6 +9,7 @@ use super::links::Links;
 use super::oracle::Visibility;
 use super::refine::{Done, Goal, Refinement};
 use super::tree::Tree;
+use crate::assembly::dense::is_error;
 use crate::assembly::{Blockers, Candidate, Order, settle};
 use crate::error::{Error, Result};
 use crate::form_factor::{Accuracy, Patch};
@@ -135,7 +136,6 @@ pub fn from_kept(scene: &Scene, found: Found, tree_mark: u64, reached: &Reached)
     scene.require_diffuse("hierarchical radiosity")?;
     let blockers = Blockers::of_scene(scene);
     let tree = Tree::new(scene, &blockers.bodies, Order::Constant);
-    let is_error = |value: f64| (0.0..f64::INFINITY).contains(&value);
     for (k, link) in found.links.iter().enumerate() {
         let ends = [link.p, link.q].map(|k| tree.nodes.get(k as usize));
         let [Some(p), Some(q)] = ends else {
