@@ -219,8 +219,8 @@ def test_ctrl_c_at_any_moment_ends_the_call_and_nothing_else(work, tmp_path):
         print(late, stopped)
     """
     late, stopped = (float(word) for word in run_program(program, str(tmp_path)).split())
-    # A second as promised (test_interrupt.py), and four more for a machine with other things to do.
-    assert late < 5.0
+    # A second as promised, and one more for a machine with other things to do.
+    assert late < 2.0
     assert stopped > 0
     names = {entry.name for entry in tmp_path.iterdir()}
     assert names <= {"sound.npz", "a.npz"}
