@@ -22,7 +22,7 @@ use crate::geometry::sampling::hash;
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::visibility::shaft::Shaft;
-use crate::visibility::sight::Sights;
+use crate::visibility::sight::{Sights, View};
 
 /// What to compute, and within what.
 #[derive(Debug, Clone, Copy)]
@@ -114,7 +114,7 @@ impl Dense {
         let work = Work {
             scene,
             patches: (0..n).map(|i| Patch::new(scene.triangle(i))).collect(),
-            sights: Sights::new(scene, &blockers.bodies, progress)?,
+            sights: Sights::new(scene, &blockers.bodies),
             blockers,
             accuracy,
             seed: options.seed,
@@ -398,26 +398,20 @@ struct Found {
 impl Work<'_> {
     /// Some rows, in their order.
     fn rows(&self, rows: Range<usize>, progress: &Progress) -> Result<Vec<Found>> {
-        // The longest rows first, so that the threads finish together.
-        let found: Result<Vec<Found>> = rows
-            .into_par_iter()
-            .rev()
-            .map_init(
-                || (Batch::new(), Shadows::default()),
-                |(batch, shadows), i| self.row(i, batch, shadows, progress),
-            )
-            .collect();
-        let mut found = found?;
-        found.reverse();
-        Ok(found)
+        let rows = rows.start as u32..rows.end as u32;
+        let row = |i: u32, view: &View| Ok((i, self.row(i, view, progress)?));
+        let mut found = self.sights.visit(&rows, self.scene, &self.blockers.bodies, &row)?;
+        found.sort_unstable_by_key(|(i, _)| *i);
+        Ok(found.into_iter().map(|(_, found)| found).collect())
     }
 
-    fn row(&self, i: usize, batch: &mut Batch, shadows: &mut Shadows, progress: &Progress) -> Result<Found> {
+    /// The row of patch i, by what it may see.
+    fn row(&self, i: u32, view: &View, progress: &Progress) -> Result<Found> {
         /// Pairs between two looks at the wish to stop.
         const PAIRS: usize = 256;
         let (patches, bodies) = (&self.patches, &self.blockers.bodies);
-        let view = self.sights.before(i as u32, self.scene, bodies);
-        let pairs: Vec<[u32; 2]> = view.patches.iter().map(|&(j, _)| [i as u32, j]).collect();
+        let (mut batch, mut shadows) = (Batch::new(), Shadows::default());
+        let pairs: Vec<[u32; 2]> = view.patches.iter().map(|&(j, _)| [i, j]).collect();
         let mut exchange = vec![0.0; pairs.len()];
         batch.exchange_pairs(patches, patches, &pairs, &self.accuracy, &mut exchange)?;
         let (mut candidates, mut segments) = (Vec::new(), 0);
@@ -432,16 +426,16 @@ impl Work<'_> {
                 continue;
             }
             let mut c = Candidate::new(i, j, *g);
-            segments += improve(&mut c, shadows, patches, &self.blockers, self.seed);
+            segments += improve(&mut c, &mut shadows, patches, &self.blockers, self.seed);
             if c.error > 0.0 {
                 candidates.push(c);
             } else {
                 *g *= c.visible;
             }
         }
-        progress.advance(i as u64)?;
+        progress.advance(u64::from(i))?;
         let columns = view.patches.iter().map(|&(j, _)| j);
         let (column, value) = columns.zip(exchange).filter(|(_, g)| *g != 0.0).unzip();
-        Ok(Found { row: Row::new(i, column, value), candidates, segments })
+        Ok(Found { row: Row::new(i as usize, column, value), candidates, segments })
     }
 }

@@ -170,14 +170,16 @@ fn visible_by_shadows(
     a: &Patch,
     b: &Patch,
 ) -> Option<Visible> {
-    if blockers.bodies.entangled(c.i) || blockers.bodies.entangled(c.j) {
+    let bodies = &blockers.bodies;
+    if bodies.entangled(c.i) || bodies.entangled(c.j) {
         return None;
     }
-    let shaft = Shaft::new(&a.corners, &b.corners);
-    match blockers.bodies.in_shaft(&shaft, [c.i, c.j], MOST_BODIES) {
-        Some(bodies) => shadows.visible(a, b, &bodies, c.wanted),
-        None => blockers.bodies.hide(&a.corners, &b.corners).then_some(Visible { fraction: 0.0, error: 0.0 }),
+    // In a town half of all pairs are hidden by one house, which takes the fewest steps to see.
+    if bodies.hide(&a.corners, &b.corners) {
+        return Some(Visible { fraction: 0.0, error: 0.0 });
     }
+    let between = bodies.in_shaft(&Shaft::new(&a.corners, &b.corners), [c.i, c.j], MOST_BODIES)?;
+    shadows.visible(a, b, &between, c.wanted)
 }
 
 /// For every row the sum over its candidates of the error of F_ij.

@@ -85,17 +85,14 @@ impl Bodies {
         some.iter().any(|k| !own.contains(k) && shaft.may_hold(&self.bodies[*k as usize]))
     }
 
-    /// The bodies that may reach into a shaft, but for those that have all of `corners`, which span it, before one of their faces.
-    pub fn around(&self, shaft: &Shaft, corners: &[&[Vec3]]) -> Vec<u32> {
-        let mut found = Vec::new();
-        self.near(shaft, [NONE; 2], |k| {
-            let before = |face: &Plane| corners.iter().copied().flatten().all(|x| face.distance(*x) >= 0.0);
-            if !self.bodies[k as usize].faces.iter().any(before) {
-                found.push(k);
-            }
-            true
-        });
-        found
+    /// Those of some bodies that may reach into a shaft: without those that have all that spans it before one of their faces, as
+    /// `has_before` tells.
+    pub fn around(&self, some: &[u32], shaft: &Shaft, has_before: impl Fn(&Plane) -> bool) -> Vec<u32> {
+        let may_meet = |k: &u32| {
+            let body = &self.bodies[*k as usize];
+            shaft.may_meet_box(body.low, body.high) && !body.faces.iter().any(&has_before)
+        };
+        some.iter().copied().filter(may_meet).collect()
     }
 
     /// The bodies that reach into the shaft between two patches, or may, in their order, up to `most`; `None` when there are more.
@@ -128,17 +125,22 @@ impl Bodies {
 
     /// Whether one solid is found that hides all in the convex hull of `b` from all in that of `a`: one of those between the centres.
     pub fn hide(&self, a: &[Vec3], b: &[Vec3]) -> bool {
-        let (start, end) = (centre(a), centre(b));
-        let inverse = (end - start).recip();
+        let line = Line::new(centre(a), centre(b));
         let mut hidden = false;
         self.tree.walk(|node| {
-            let opens = !hidden && meets_box(start, inverse, node.low, node.high);
+            let opens = !hidden && line.meets(node.low, node.high);
             for (k, (low, high)) in self.tree.items[node.items.clone()].iter().filter(|_| opens) {
-                hidden = hidden || (meets_box(start, inverse, *low, *high) && self.bodies[*k as usize].hides(a, b));
+                hidden = hidden || (line.meets(*low, *high) && self.bodies[*k as usize].hides(a, b));
             }
             opens
         });
         hidden
+    }
+
+    /// The same of some of the bodies.
+    pub fn some_hides(&self, some: &[u32], a: &[Vec3], b: &[Vec3]) -> bool {
+        let line = Line::new(centre(a), centre(b));
+        some.iter().map(|k| &self.bodies[*k as usize]).any(|body| line.meets(body.low, body.high) && body.hides(a, b))
     }
 
     /// Visits the bodies whose boxes a shaft may meet, but for `own`, until `visit` returns false.
@@ -164,10 +166,22 @@ impl Bodies {
     }
 }
 
-/// Whether a segment meets a box; `inverse` is 1 over its components. Where a component is 0 and the box's face lies in the segment,
-/// either answer may come.
-#[inline]
-fn meets_box(start: Vec3, inverse: Vec3, low: Vec3, high: Vec3) -> bool {
-    let (a, b) = ((low - start) * inverse, (high - start) * inverse);
-    a.min(b).max_element().max(0.0) <= a.max(b).min_element().min(1.0)
+/// A segment that is tested against many boxes.
+struct Line {
+    start: Vec3,
+    /// 1 over the components of the way.
+    inverse: Vec3,
+}
+
+impl Line {
+    fn new(start: Vec3, end: Vec3) -> Line {
+        Line { start, inverse: (end - start).recip() }
+    }
+
+    /// Whether the segment meets a box. Where a component of its way is 0 and a face of the box lies in it, either answer may come.
+    #[inline]
+    fn meets(&self, low: Vec3, high: Vec3) -> bool {
+        let (a, b) = ((low - self.start) * self.inverse, (high - self.start) * self.inverse);
+        a.min(b).max_element().max(0.0) <= a.max(b).min_element().min(1.0)
+    }
 }

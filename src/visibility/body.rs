@@ -80,7 +80,7 @@ impl Body {
     }
 
     /// Whether a segment enters and leaves the body that is smaller by `margin`.
-    fn cuts(&self, x: Vec3, y: Vec3, margin: f64) -> bool {
+    pub(super) fn cuts(&self, x: Vec3, y: Vec3, margin: f64) -> bool {
         let (mut enters, mut leaves) = (0.0f64, 1.0f64);
         for face in &self.faces {
             let (d0, d1) = (face.distance(x) + margin, face.distance(y) + margin);

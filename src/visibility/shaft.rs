@@ -30,7 +30,7 @@ pub struct Shaft {
     axis_squared: f64,
     radius: f64,
     /// Room for rounding. What stands out of a patch's plane by less lies in the plane.
-    slack: f64,
+    pub(super) slack: f64,
 }
 
 impl Shaft {
@@ -100,9 +100,11 @@ impl Shaft {
         true
     }
 
-    /// The same, by looking for a plane between the two.
+    /// The same, by looking for a plane between the two, unless the body stands between the centres.
     pub fn holds(&self, body: &Body) -> bool {
-        self.may_hold(body) && !are_apart(self.corners(), &body.corners, self.slack, STEPS)
+        self.may_hold(body)
+            && (body.cuts(self.start, self.start + self.axis, self.slack)
+                || !are_apart(self.corners(), &body.corners, self.slack, STEPS))
     }
 }
 

@@ -7,15 +7,18 @@
 //! every pair of corners of the clusters' boxes holds for all between them (Cohen-Or, Fibich, Halperin & Zadicario 1998,
 //! "Conservative visibility and strong occlusion for viewspace partitioning of densely occluded scenes"). Shadows that only together
 //! hide a cluster are not looked for.
+//!
+//! What may stand between two clusters at all is narrowed down on the way from the root: of the bodies in the shaft between two
+//! clusters (Haines & Wallace 1991), those count that reach into the shaft between two parts of them. In a bowl none is left soon.
 
-use rayon::prelude::*;
+use std::ops::Range;
 
 use super::bodies::Bodies;
 use super::body::extremes;
 use super::shaft::Shaft;
 use crate::error::Result;
-use crate::geometry::{Triangle, Vec3};
-use crate::progress::Progress;
+use crate::geometry::Vec3;
+use crate::geometry::polygon::Plane;
 use crate::scene::Scene;
 
 /// Most patches in a cluster that is not cut.
@@ -25,26 +28,32 @@ const SPREAD: f64 = 0.5;
 /// Room for the rounding of normals and places, relative to the size of the scene and its distance from the origin.
 const SLACK: f64 = 1e-9;
 
-/// The patches of a scene in clusters, and what each cluster may see.
+/// The patches of a scene in clusters.
 pub struct Sights {
     /// The patches, those of a cluster one after the other.
     order: Vec<u32>,
     nodes: Vec<Node>,
-    /// The cluster, a leaf of the tree, of every patch.
-    leaf_of: Vec<u32>,
-    /// The leaves that the patches of every leaf may see.
-    seen: Vec<Vec<u32>>,
+    /// The corners of the patches of each leaf.
+    corners: Vec<Vec<Vec3>>,
     slack: f64,
 }
 
 /// What a patch may see.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct View {
     /// Patches, in their order, and for each the number of a list of bodies.
     pub patches: Vec<(u32, u32)>,
-    /// Bodies that may stand between the patch and those that have this list.
+    /// Bodies that may stand between the patch and those that have this list; the first list is empty.
     pub bodies: Vec<Vec<u32>>,
 }
+
+impl View {
+    /// The list of no bodies.
+    const NOTHING: u32 = 0;
+}
+
+/// A node that may be seen, and the bodies that may stand between.
+type Seen = (usize, Vec<u32>);
 
 /// Where some patches are, and which way they face.
 #[derive(Debug, Clone, Copy)]
@@ -64,8 +73,10 @@ struct Node {
     /// The node that comes after all below this one.
     beyond: usize,
     /// The patches, in the order of the tree.
-    first: usize,
-    end: usize,
+    patches: Range<usize>,
+    /// The lowest and the highest number of a patch.
+    lowest: u32,
+    highest: u32,
     is_leaf: bool,
 }
 
@@ -100,9 +111,8 @@ impl Extent {
 }
 
 impl Sights {
-    /// # Errors
-    /// [`crate::Error::Interrupted`].
-    pub fn new(scene: &Scene, bodies: &Bodies, progress: &Progress) -> Result<Sights> {
+    /// The clusters of a scene.
+    pub fn new(scene: &Scene, bodies: &Bodies) -> Sights {
         let extents: Vec<Extent> = (0..scene.len() as u32).map(|i| Extent::of(scene, bodies, i)).collect();
         let mut order: Vec<u32> = (0..scene.len() as u32).collect();
         let mut nodes = Vec::new();
@@ -113,75 +123,160 @@ impl Sights {
             let Extent { low, high, .. } = root.extent;
             SLACK * (high - low).max(low.abs()).max(high.abs()).max_element()
         });
-        let mut leaf_of = vec![0; scene.len()];
-        for (k, node) in nodes.iter().enumerate().filter(|(_, node)| node.is_leaf) {
-            order[node.first..node.end].iter().for_each(|&i| leaf_of[i as usize] = k as u32);
-        }
-        let mut sights = Sights { order, nodes, leaf_of, seen: Vec::new(), slack };
-        sights.seen = (0..sights.nodes.len())
-            .into_par_iter()
-            .map(|k| {
-                progress.advance(0)?;
-                Ok(if sights.nodes[k].is_leaf { sights.leaves_seen_from(k, bodies) } else { Vec::new() })
-            })
-            .collect::<Result<_>>()?;
-        Ok(sights)
+        let corners_of = |node: &Node| {
+            let patches = if node.is_leaf { &order[node.patches.clone()] } else { &[] };
+            let mut faces: Vec<u32> = patches.iter().flat_map(|&i| scene.faces()[i as usize]).collect();
+            faces.sort_unstable();
+            faces.dedup();
+            faces.into_iter().map(|v| scene.vertices()[v as usize]).collect()
+        };
+        let corners = nodes.iter().map(corners_of).collect();
+        Sights { order, nodes, corners, slack }
     }
 
-    /// The leaves that a leaf may see.
-    fn leaves_seen_from(&self, leaf: usize, bodies: &Bodies) -> Vec<u32> {
-        let from = &self.nodes[leaf].extent;
-        let corners = from.corners();
-        let (mut seen, mut k) = (Vec::new(), 0);
-        while let Some(node) = self.nodes.get(k) {
-            let apart = self.are_turned_away(from, &node.extent)
-                || are_hidden(bodies, from, &corners, &node.extent, &node.extent.corners());
-            if node.is_leaf && !apart {
-                seen.push(k as u32);
-            }
-            k = if apart { node.beyond } else { k + 1 };
-        }
-        seen
+    /// The two parts of a node that is no leaf.
+    fn parts(&self, k: usize) -> [usize; 2] {
+        [k + 1, self.nodes[k + 1].beyond]
     }
 
     fn are_turned_away(&self, a: &Extent, b: &Extent) -> bool {
         a.is_before(b, self.slack) || b.is_before(a, self.slack)
     }
 
-    /// What patch i of a scene may see of the patches j < i.
-    pub fn before(&self, i: u32, scene: &Scene, bodies: &Bodies) -> View {
+    /// Calls `visit` with what each of some patches may see of the patches with lower numbers, in any order; returns what it gave.
+    ///
+    /// # Errors
+    /// Those of `visit`.
+    pub fn visit<T: Send>(
+        &self,
+        patches: &Range<u32>,
+        scene: &Scene,
+        bodies: &Bodies,
+        visit: &(impl Fn(u32, &View) -> Result<T> + Sync),
+    ) -> Result<Vec<T>> {
+        if self.nodes.is_empty() {
+            return Ok(Vec::new());
+        }
+        let all = vec![(0, (0..bodies.bodies.len() as u32).collect())];
+        self.visit_from(0, &all, patches, bodies, &|cluster, seen| {
+            let members = self.order[self.nodes[cluster].patches.clone()].iter().copied();
+            members.filter(|i| patches.contains(i)).map(|i| visit(i, &self.view(i, seen, scene, bodies))).collect()
+        })
+    }
+
+    /// The same for the patches below one cluster, which may see of all no more than some nodes, each with the bodies between.
+    fn visit_from<T: Send>(
+        &self,
+        from: usize,
+        above: &[Seen],
+        patches: &Range<u32>,
+        bodies: &Bodies,
+        visit: &(impl Fn(usize, &[Seen]) -> Result<Vec<T>> + Sync),
+    ) -> Result<Vec<T>> {
+        let node = &self.nodes[from];
+        if node.lowest >= patches.end || node.highest < patches.start {
+            return Ok(Vec::new());
+        }
+        let mut seen = Vec::with_capacity(above.len());
+        above.iter().for_each(|(to, between)| self.look(from, *to, between, patches.end, bodies, &mut seen));
+        if node.is_leaf {
+            return visit(from, &seen);
+        }
+        let [one, other] = self.parts(from);
+        let below = |part: usize| self.visit_from(part, &seen, patches, bodies, visit);
+        let (left, right) = rayon::join(|| below(one), || below(other));
+        let mut all = left?;
+        all.extend(right?);
+        Ok(all)
+    }
+
+    /// Adds the nodes, no larger than `from`, that may be seen from there of all in `to`, with what of `between` may stand between.
+    fn look(&self, from: usize, to: usize, between: &[u32], end: u32, bodies: &Bodies, seen: &mut Vec<Seen>) {
+        let (a, b) = (&self.nodes[from], &self.nodes[to]);
+        let boxes = [a, b].map(|node| node.extent.corners());
+        let apart = b.lowest >= end
+            || self.are_turned_away(&a.extent, &b.extent)
+            || are_hidden(bodies, between, &a.extent, &boxes[0], &b.extent, &boxes[1]);
+        if apart {
+            return;
+        }
+        let shaft = Shaft::between(&boxes[0], &boxes[1], [None; 2]);
+        let between = bodies.around(between, &shaft, |face| {
+            self.lies_before(face, from, shaft.slack) && self.lies_before(face, to, shaft.slack)
+        });
+        if b.is_leaf || (!a.is_leaf && b.patches.len() <= a.patches.len()) {
+            seen.push((to, between));
+        } else {
+            for part in self.parts(to) {
+                self.look(from, part, &between, end, bodies, seen);
+            }
+        }
+    }
+
+    /// Whether all of a node lies before a plane, or behind it by no more than `slack`.
+    fn lies_before(&self, plane: &Plane, k: usize, slack: f64) -> bool {
+        let Extent { low, high, .. } = &self.nodes[k].extent;
+        let half = 0.5 * (*high - *low);
+        let (middle, reach) = (plane.distance(*low + half), half.dot(plane.normal.abs()));
+        if middle - reach >= -slack {
+            return true;
+        }
+        if middle + reach < -slack {
+            return false;
+        }
+        if self.nodes[k].is_leaf {
+            return self.corners[k].iter().all(|x| plane.distance(*x) >= -slack);
+        }
+        self.parts(k).into_iter().all(|part| self.lies_before(plane, part, slack))
+    }
+
+    /// What patch i may see of some leaves.
+    fn view(&self, i: u32, seen: &[Seen], scene: &Scene, bodies: &Bodies) -> View {
         let (triangle, own) = (scene.triangle(i as usize), Extent::of(scene, bodies, i));
-        let mut view = View::default();
-        for &k in &self.seen[self.leaf_of[i as usize] as usize] {
-            let node = &self.nodes[k as usize];
-            let corners = node.extent.corners();
-            let patches = || self.order[node.first..node.end].iter().copied().filter(|&j| j < i);
-            let is_empty = self.are_turned_away(&own, &node.extent) || patches().next().is_none();
-            if is_empty || are_hidden(bodies, &own, &triangle, &node.extent, &corners) {
+        let mut view = View { patches: Vec::new(), bodies: vec![Vec::new()] };
+        for (to, between) in seen {
+            let node = &self.nodes[*to];
+            if self.are_turned_away(&own, &node.extent) {
                 continue;
             }
-            let shaft = Shaft::between(&triangle, &corners, [Some(scene.plane(i as usize)), None]);
-            let ends: Vec<Triangle> = patches().map(|j| scene.triangle(j as usize)).collect();
-            view.patches.extend(patches().map(|j| (j, view.bodies.len() as u32)));
-            view.bodies.push(bodies.around(&shaft, &[&triangle, ends.as_flattened()]));
+            let mut list = View::NOTHING;
+            if !between.is_empty() {
+                let corners = node.extent.corners();
+                if are_hidden(bodies, between, &own, &triangle, &node.extent, &corners) {
+                    continue;
+                }
+                let shaft = Shaft::between(&triangle, &corners, [Some(scene.plane(i as usize)), None]);
+                let near = bodies.around(between, &shaft, |face| {
+                    triangle.iter().all(|x| face.distance(*x) >= -shaft.slack)
+                        && self.lies_before(face, *to, shaft.slack)
+                });
+                if !near.is_empty() {
+                    list = view.bodies.len() as u32;
+                    view.bodies.push(near);
+                }
+            }
+            let patches = self.order[node.patches.clone()].iter().filter(|&&j| j < i);
+            view.patches.extend(patches.map(|&j| (j, list)));
         }
         view.patches.sort_unstable();
         view
     }
 }
 
-/// Whether one body hides all between the hulls of two sets of points, in which these patches are.
-fn are_hidden(bodies: &Bodies, a: &Extent, hull_a: &[Vec3], b: &Extent, hull_b: &[Vec3]) -> bool {
-    !a.is_entangled && !b.is_entangled && bodies.hide(hull_a, hull_b)
+/// Whether one of some bodies hides all between the hulls of two sets of points, in which these patches are.
+fn are_hidden(bodies: &Bodies, some: &[u32], a: &Extent, hull_a: &[Vec3], b: &Extent, hull_b: &[Vec3]) -> bool {
+    !a.is_entangled && !b.is_entangled && bodies.some_hides(some, hull_a, hull_b)
 }
 
 /// Adds the node of some patches, from the place `first` on, and those below it: halves by direction, then by place.
 fn split(extents: &[Extent], order: &mut [u32], first: usize, nodes: &mut Vec<Node>) {
     let at = |i: &u32| &extents[*i as usize];
     let whole = order[1..].iter().fold(*at(&order[0]), |sum, i| sum.joined(at(i)));
-    let (index, end) = (nodes.len(), first + order.len());
+    let index = nodes.len();
+    let patches = first..first + order.len();
+    let (lowest, highest) = order.iter().fold((u32::MAX, 0), |(low, high), i| (low.min(*i), high.max(*i)));
     let is_leaf = order.len() <= LEAF;
-    nodes.push(Node { extent: whole, beyond: 0, first, end, is_leaf });
+    nodes.push(Node { extent: whole, beyond: 0, patches, lowest, highest, is_leaf });
     if !is_leaf {
         let longest = |v: Vec3| (0..3).max_by(|&a, &b| v[a].total_cmp(&v[b])).unwrap_or(0);
         let spread = whole.normals[1] - whole.normals[0];

@@ -7,6 +7,7 @@ use radiosity::geometry::{Triangle, Vec3};
 use radiosity::scene::{Scene, Sides};
 use radiosity::visibility::bodies::Bodies;
 use radiosity::visibility::shaft::Shaft;
+use radiosity::visibility::sight::{Sights, View};
 use radiosity::visibility::{Bvh, Hit, Instructions, NO_PATCH, Ray, Segment};
 
 use crate::common::{Mesh, PLENTY, Random, box_from, box_in_box, cube, icosphere, plate, rotated, two_plates, vec3};
@@ -428,6 +429,78 @@ fn shafts_between_walls_with_a_box_in_the_room() {
     let random = Random::new(19);
     let [empty, unproven, occluded] = shafts(&box_in_box(3).scene(), &random, 40);
     assert!(empty > 1000 && occluded > 1000, "{empty} empty, {unproven} unproven, {occluded} occluded");
+}
+
+/// What `Sights` says of the pairs of a scene that light could pass between: how many it leaves out, how many have nothing between,
+/// and how many bodies it names in all. Fails when one that is left out sees, or one with nothing between is blocked.
+fn sights(scene: &Scene, random: &Random) -> [usize; 3] {
+    let bodies = Bodies::of_scene(scene);
+    let (all, n) = (Bvh::of_scene(scene), scene.len());
+    let collect = |i: u32, view: &View| {
+        Ok(view.patches.iter().map(|&(j, list)| (i, j, view.bodies[list as usize].len())).collect::<Vec<_>>())
+    };
+    let sights = Sights::new(scene, &bodies);
+    let mut seen: Vec<Option<usize>> = vec![None; n * n];
+    // In two parts, as rows are made in blocks.
+    for rows in [0..n as u32 / 3, n as u32 / 3..n as u32] {
+        for (i, j, between) in sights.visit(&rows, scene, &bodies, &collect).unwrap().into_iter().flatten() {
+            assert!(rows.contains(&i) && j < i);
+            assert_eq!(seen[i as usize * n + j as usize].replace(between), None, "{i} and {j} come twice");
+        }
+    }
+    let [mut left_out, mut clear, mut named] = [0; 3];
+    for i in 0..n {
+        for j in 0..i {
+            let segments = (0..5).filter_map(|_| lit_segment(random, scene, i, j));
+            let blocked: Vec<bool> = segments.map(|(p, q)| blocked(&all, p, q, [i as u32, j as u32])).collect();
+            match seen[i * n + j] {
+                None => {
+                    assert!(blocked.iter().all(|b| *b), "{i} and {j} see each other");
+                    left_out += usize::from(!blocked.is_empty());
+                }
+                Some(0) => {
+                    assert!(!blocked.contains(&true), "something stands between {i} and {j}");
+                    clear += 1;
+                }
+                Some(between) => named += between,
+            }
+        }
+    }
+    [left_out, clear, named]
+}
+
+#[test]
+fn clusters_that_are_left_out_see_nothing_and_what_is_not_named_blocks_nothing() {
+    let random = Random::new(21);
+    let blocks = (0..6).fold(box_from(Vec3::splat(-3.0), Vec3::splat(3.0), 6), |mesh, _| {
+        let (turn, shift) = (random.rotation(), random.in_cube());
+        mesh.and(&box_from(Vec3::splat(-0.9), Vec3::splat(0.9), 2).reversed().map(|v| rotated(&turn, v) + shift))
+    });
+    let heap: Vec<Triangle> = (0..200).map(|_| random.triangle(random.in_cube(), 0.3)).collect();
+    // Blocks in one row along an axis: shafts along it have a width of 0.
+    let town = (0..16).fold(plate(Vec3::ZERO, 8.0 * Vec3::X, 8.0 * Vec3::Y, 8), |mesh, k| {
+        let low = vec3(f64::from(k % 4) * 2.0 + 0.25, f64::from(k / 4) * 2.0 + 0.25, 0.0);
+        mesh.and(&box_from(low, low + vec3(1.5, 1.5, 1.5 + 0.1 * f64::from(k % 3)), 2).reversed())
+    });
+    for (name, mesh) in [("blocks", blocks), ("heap", Mesh::of_triangles(&heap)), ("town", town)] {
+        for place in [Vec3::ZERO, Vec3::splat(1e6)] {
+            let [left_out, clear, named] = sights(&mesh.clone().map(|v| v + place).scene(), &random);
+            // Each happens often, but in a heap no triangle hides a cluster, and all of them are between some others.
+            let (often, in_a_heap) = (named > 500, name == "heap");
+            assert!(often && (in_a_heap || (left_out > 500 && clear > 500)), "{name}: {left_out} {clear} {named}");
+        }
+    }
+}
+
+/// All see all, and every triangle is a body of its own.
+#[test]
+fn nothing_stands_between_the_patches_of_a_bowl() {
+    let mut bowl = icosphere(3).reversed();
+    let vertices = bowl.vertices.clone();
+    bowl.faces.retain(|face| face.iter().map(|&v| vertices[v as usize].z).sum::<f64>() < 0.0);
+    let n = bowl.faces.len();
+    let [left_out, clear, named] = sights(&bowl.scene(), &Random::new(22));
+    assert_eq!([left_out, clear, named], [0, n * (n - 1) / 2, 0]);
 }
 
 #[test]
