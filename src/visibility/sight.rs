@@ -23,6 +23,8 @@ use crate::scene::Scene;
 
 /// Most patches in a cluster that is not cut.
 const LEAF: usize = 16;
+/// Of more bodies between two clusters some are between most of their patches: it is not worth the time to tell which.
+const MANY: usize = 64;
 /// Clusters are cut by direction until no component of the normals differs by more, and by place from there on.
 const SPREAD: f64 = 0.5;
 /// Room for the rounding of normals and places, relative to the size of the scene and its distance from the origin.
@@ -239,21 +241,24 @@ impl Sights {
             if self.are_turned_away(&own, &node.extent) {
                 continue;
             }
-            let mut list = View::NOTHING;
-            if !between.is_empty() {
+            let mut near = Vec::new();
+            if between.len() > MANY {
+                near.clone_from(between);
+            } else if !between.is_empty() {
                 let corners = node.extent.corners();
                 if are_hidden(bodies, between, &own, &triangle, &node.extent, &corners) {
                     continue;
                 }
                 let shaft = Shaft::between(&triangle, &corners, [Some(scene.plane(i as usize)), None]);
-                let near = bodies.around(between, &shaft, |face| {
+                near = bodies.around(between, &shaft, |face| {
                     triangle.iter().all(|x| face.distance(*x) >= -shaft.slack)
                         && self.lies_before(face, *to, shaft.slack)
                 });
-                if !near.is_empty() {
-                    list = view.bodies.len() as u32;
-                    view.bodies.push(near);
-                }
+            }
+            let mut list = View::NOTHING;
+            if !near.is_empty() {
+                list = view.bodies.len() as u32;
+                view.bodies.push(near);
             }
             let patches = self.order[node.patches.clone()].iter().filter(|&&j| j < i);
             view.patches.extend(patches.map(|&j| (j, list)));
