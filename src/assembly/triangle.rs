@@ -6,15 +6,16 @@
 //! changes) share it.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::error::{Error, Result};
 use crate::memory::{filled, room};
 
-/// Which pairs i > j have an entry, and where its value is.
+/// Which pairs i > j have an entry, and where its value is; a copy of it is the same memory.
 #[derive(Debug, Clone)]
 pub struct Pattern {
     n: usize,
-    entries: Option<Entries>,
+    entries: Option<Arc<Entries>>,
 }
 
 /// The entries that are kept, where not all of them are.
@@ -79,7 +80,7 @@ impl Pattern {
                 *to += 1;
             }
         }
-        Ok(Pattern { n, entries: Some(Entries { start, column, down, row, place }) })
+        Ok(Pattern { n, entries: Some(Arc::new(Entries { start, column, down, row, place })) })
     }
 
     /// Where the rows start among the columns, and the columns; `None` where every pair has an entry.
@@ -99,7 +100,7 @@ impl Pattern {
 
     /// The places of row i.
     pub(super) fn places(&self, i: usize) -> Range<usize> {
-        match &self.entries {
+        match self.entries.as_deref() {
             None => row_start(i)..row_start(i + 1),
             Some(entries) => entries.start[i]..entries.start[i + 1],
         }
@@ -108,7 +109,7 @@ impl Pattern {
     /// The place of a pair i > j that is kept.
     pub(super) fn place(&self, i: usize, j: usize) -> Option<usize> {
         let places = self.places(i);
-        match &self.entries {
+        match self.entries.as_deref() {
             None => Some(places.start + j),
             Some(Entries { column, .. }) => {
                 let found = column[places.clone()].binary_search(&(j as u32));
@@ -121,7 +122,7 @@ impl Pattern {
     #[inline]
     pub(super) fn lower(&self, i: usize, mut visit: impl FnMut(usize, usize)) {
         let places = self.places(i);
-        match &self.entries {
+        match self.entries.as_deref() {
             None => places.enumerate().for_each(|(j, place)| visit(j, place)),
             Some(Entries { column, .. }) => {
                 places.clone().zip(&column[places]).for_each(|(place, &j)| visit(j as usize, place));
@@ -133,7 +134,7 @@ impl Pattern {
     #[inline]
     pub(super) fn within(&self, i: usize, columns: Range<usize>, mut visit: impl FnMut(usize, usize)) {
         let first = self.places(i).start;
-        match &self.entries {
+        match self.entries.as_deref() {
             None => columns.for_each(|j| visit(j, first + j)),
             Some(Entries { column, .. }) => {
                 let row = &column[self.places(i)];
@@ -146,7 +147,7 @@ impl Pattern {
     /// Calls `visit(j, place)` for the entries of column i, j > i, in the order of j.
     #[inline]
     fn upper(&self, i: usize, mut visit: impl FnMut(usize, usize)) {
-        match &self.entries {
+        match self.entries.as_deref() {
             None => (i + 1..self.n).for_each(|j| visit(j, row_start(j) + i)),
             Some(Entries { down, row, place, .. }) => {
                 let range = down[i]..down[i + 1];
@@ -164,7 +165,7 @@ impl Pattern {
 
     /// Bytes held.
     pub(super) fn nbytes(&self) -> usize {
-        self.entries.as_ref().map_or(0, |Entries { start, column, down, row, place }| {
+        self.entries.as_deref().map_or(0, |Entries { start, column, down, row, place }| {
             size_of_val(start.as_slice())
                 + size_of_val(down.as_slice())
                 + [column, row, place].iter().map(|part| size_of_val(part.as_slice())).sum::<usize>()
