@@ -118,6 +118,12 @@ def crater(rings: int = 32, bowl: int = 25, width: float = 6.24, outermost: int 
     return scene.with_materials(scene.reflectance, np.where(scene.centroids[:, :1] > 0.0, 1.0, 0.0))
 
 
+def crater_of(facets: int) -> rad.Scene:
+    """A crater with about so many facets."""
+    rings = round(math.sqrt(facets / 6.24))
+    return crater(rings, round(rings * 25 / 32), outermost=None)
+
+
 def theatre(triangles: int) -> rad.Scene:
     """The built-in theatre with about so many triangles: the longest edge is found by halving."""
     scene = rad.scenes.theatre()
@@ -263,11 +269,12 @@ def print_crater(limit: float) -> None:
 def print_growth(limit: float) -> None:
     """Links at one tolerance, while n grows."""
     sizes = (10_000, 30_000, 100_000, 300_000, 1_000_000)
-    _operators(
-        'The Cornell box: form_factors(cornell(n), tolerance=0.3, method="hierarchical")',
-        {f"hierarchical, {n:,}": lambda n=n: build(cornell(n), 0.3, "hierarchical") for n in sizes},
-        limit,
-    )
+
+    def growing(scene: Callable[[int], rad.Scene]) -> dict[str, Callable[[], Found]]:
+        return {f"hierarchical, {n:,}": lambda n=n: build(scene(n), 0.3, "hierarchical") for n in sizes}
+
+    _operators('The Cornell box: form_factors(cornell(n), 0.3, "hierarchical")', growing(cornell), limit)
+    _operators('A crater: form_factors(crater(rings), 0.3, "hierarchical")', growing(crater_of), limit)
 
 
 def print_theatre(limit: float) -> None:

@@ -400,7 +400,7 @@ impl Work<'_> {
     fn rows(&self, rows: Range<usize>, progress: &Progress) -> Result<Vec<Found>> {
         let rows = rows.start as u32..rows.end as u32;
         let row = |i: u32, view: &View| Ok((i, self.row(i, view, progress)?));
-        let mut found = self.sights.visit(&rows, self.scene, &self.blockers.bodies, &row)?;
+        let mut found = self.sights.visit(&rows, self.scene, &self.blockers.bodies, progress, &row)?;
         found.sort_unstable_by_key(|(i, _)| *i);
         Ok(found.into_iter().map(|(_, found)| found).collect())
     }

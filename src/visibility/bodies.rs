@@ -86,11 +86,11 @@ impl Bodies {
     }
 
     /// Those of some bodies that may reach into a shaft: without those that have all that spans it before one of their faces, as
-    /// `has_before` tells.
-    pub fn around(&self, some: &[u32], shaft: &Shaft, has_before: impl Fn(&Plane) -> bool) -> Vec<u32> {
+    /// `is_all_before` tells.
+    pub fn around(&self, some: &[u32], shaft: &Shaft, is_all_before: impl Fn(&Plane) -> bool) -> Vec<u32> {
         let may_meet = |k: &u32| {
             let body = &self.bodies[*k as usize];
-            shaft.may_meet_box(body.low, body.high) && !body.faces.iter().any(&has_before)
+            shaft.may_meet_box(body.low, body.high) && !body.faces.iter().any(&is_all_before)
         };
         some.iter().copied().filter(may_meet).collect()
     }

@@ -19,11 +19,13 @@ use super::shaft::Shaft;
 use crate::error::Result;
 use crate::geometry::Vec3;
 use crate::geometry::polygon::Plane;
+use crate::progress::Progress;
 use crate::scene::Scene;
 
 /// Most patches in a cluster that is not cut.
 const LEAF: usize = 16;
-/// Of more bodies between two clusters some are between most of their patches: it is not worth the time to tell which.
+/// Of more bodies between two parts of the scene some are between most pairs of leaves and patches in them: to tell which would take
+/// longer than it saves, as measured with heaps of triangles.
 const MANY: usize = 64;
 /// Clusters are cut by direction until no component of the normals differs by more, and by place from there on.
 const SPREAD: f64 = 0.5;
@@ -145,77 +147,35 @@ impl Sights {
         a.is_before(b, self.slack) || b.is_before(a, self.slack)
     }
 
-    /// Calls `visit` with what each of some patches may see of the patches with lower numbers, in any order; returns what it gave.
+    /// Calls `visit` with what each of some patches may see of the patches with lower numbers; returns what it gave, in the order of
+    /// the clusters.
     ///
     /// # Errors
-    /// Those of `visit`.
+    /// [`crate::Error::Interrupted`], and those of `visit`.
     pub fn visit<T: Send>(
         &self,
         patches: &Range<u32>,
         scene: &Scene,
         bodies: &Bodies,
+        progress: &Progress,
         visit: &(impl Fn(u32, &View) -> Result<T> + Sync),
     ) -> Result<Vec<T>> {
         if self.nodes.is_empty() {
             return Ok(Vec::new());
         }
         let all = vec![(0, (0..bodies.bodies.len() as u32).collect())];
-        self.visit_from(0, &all, patches, bodies, &|cluster, seen| {
-            let members = self.order[self.nodes[cluster].patches.clone()].iter().copied();
-            members.filter(|i| patches.contains(i)).map(|i| visit(i, &self.view(i, seen, scene, bodies))).collect()
-        })
+        let visit_leaf = |leaf: usize, seen: &[Seen]| {
+            let members = self.order[self.nodes[leaf].patches.clone()].iter().copied();
+            let of_patch = |i: u32| {
+                progress.advance(0)?;
+                visit(i, &self.view(i, seen, scene, bodies))
+            };
+            members.filter(|i| patches.contains(i)).map(of_patch).collect()
+        };
+        Walk { sights: self, patches, bodies, progress, visit_leaf: &visit_leaf }.below(0, &all)
     }
 
-    /// The same for the patches below one cluster, which may see of all no more than some nodes, each with the bodies between.
-    fn visit_from<T: Send>(
-        &self,
-        from: usize,
-        above: &[Seen],
-        patches: &Range<u32>,
-        bodies: &Bodies,
-        visit: &(impl Fn(usize, &[Seen]) -> Result<Vec<T>> + Sync),
-    ) -> Result<Vec<T>> {
-        let node = &self.nodes[from];
-        if node.lowest >= patches.end || node.highest < patches.start {
-            return Ok(Vec::new());
-        }
-        let mut seen = Vec::with_capacity(above.len());
-        above.iter().for_each(|(to, between)| self.look(from, *to, between, patches.end, bodies, &mut seen));
-        if node.is_leaf {
-            return visit(from, &seen);
-        }
-        let [one, other] = self.parts(from);
-        let below = |part: usize| self.visit_from(part, &seen, patches, bodies, visit);
-        let (left, right) = rayon::join(|| below(one), || below(other));
-        let mut all = left?;
-        all.extend(right?);
-        Ok(all)
-    }
-
-    /// Adds the nodes, no larger than `from`, that may be seen from there of all in `to`, with what of `between` may stand between.
-    fn look(&self, from: usize, to: usize, between: &[u32], end: u32, bodies: &Bodies, seen: &mut Vec<Seen>) {
-        let (a, b) = (&self.nodes[from], &self.nodes[to]);
-        let boxes = [a, b].map(|node| node.extent.corners());
-        let apart = b.lowest >= end
-            || self.are_turned_away(&a.extent, &b.extent)
-            || are_hidden(bodies, between, &a.extent, &boxes[0], &b.extent, &boxes[1]);
-        if apart {
-            return;
-        }
-        let shaft = Shaft::between(&boxes[0], &boxes[1], [None; 2]);
-        let between = bodies.around(between, &shaft, |face| {
-            self.lies_before(face, from, shaft.slack) && self.lies_before(face, to, shaft.slack)
-        });
-        if b.is_leaf || (!a.is_leaf && b.patches.len() <= a.patches.len()) {
-            seen.push((to, between));
-        } else {
-            for part in self.parts(to) {
-                self.look(from, part, &between, end, bodies, seen);
-            }
-        }
-    }
-
-    /// Whether all of a node lies before a plane, or behind it by no more than `slack`.
+    /// Whether all of a node lies before a plane, or behind it by no more than `slack`, which is what rounding may do.
     fn lies_before(&self, plane: &Plane, k: usize, slack: f64) -> bool {
         let Extent { low, high, .. } = &self.nodes[k].extent;
         let half = 0.5 * (*high - *low);
@@ -238,7 +198,7 @@ impl Sights {
         let mut view = View { patches: Vec::new(), bodies: vec![Vec::new()] };
         for (to, between) in seen {
             let node = &self.nodes[*to];
-            if self.are_turned_away(&own, &node.extent) {
+            if node.lowest >= i || self.are_turned_away(&own, &node.extent) {
                 continue;
             }
             let mut near = Vec::new();
@@ -265,6 +225,64 @@ impl Sights {
         }
         view.patches.sort_unstable();
         view
+    }
+}
+
+/// A walk from the root, for some patches.
+struct Walk<'a, V> {
+    sights: &'a Sights,
+    patches: &'a Range<u32>,
+    bodies: &'a Bodies,
+    progress: &'a Progress,
+    visit_leaf: &'a V,
+}
+
+impl<V> Walk<'_, V> {
+    /// What is given for the patches below a cluster, which may see no more than some nodes and all below these.
+    fn below<T: Send>(&self, from: usize, above: &[Seen]) -> Result<Vec<T>>
+    where
+        V: Fn(usize, &[Seen]) -> Result<Vec<T>> + Sync,
+    {
+        let node = &self.sights.nodes[from];
+        if node.lowest >= self.patches.end || node.highest < self.patches.start {
+            return Ok(Vec::new());
+        }
+        let mut seen = Vec::with_capacity(above.len());
+        above.iter().try_for_each(|(to, between)| self.look(from, *to, between, &mut seen))?;
+        if node.is_leaf {
+            return (self.visit_leaf)(from, &seen);
+        }
+        let [one, other] = self.sights.parts(from);
+        let (left, right) = rayon::join(|| self.below(one, &seen), || self.below(other, &seen));
+        let mut all = left?;
+        all.extend(right?);
+        Ok(all)
+    }
+
+    /// Adds what may be seen from one cluster of all in another, as nodes no larger than that cluster, or leaves where it is one; with
+    /// what of `between` may stand between.
+    fn look(&self, from: usize, to: usize, between: &[u32], seen: &mut Vec<Seen>) -> Result<()> {
+        self.progress.advance(0)?;
+        let Walk { sights, bodies, .. } = self;
+        let (a, b) = (&sights.nodes[from], &sights.nodes[to]);
+        let boxes = [a, b].map(|node| node.extent.corners());
+        let apart = b.lowest >= self.patches.end.min(a.highest)
+            || sights.are_turned_away(&a.extent, &b.extent)
+            || are_hidden(bodies, between, &a.extent, &boxes[0], &b.extent, &boxes[1]);
+        if apart {
+            return Ok(());
+        }
+        let between = if a.is_leaf && b.is_leaf && between.len() > MANY {
+            between.to_vec()
+        } else {
+            let shaft = Shaft::between(&boxes[0], &boxes[1], [None; 2]);
+            bodies.around(between, &shaft, |face| [from, to].iter().all(|k| sights.lies_before(face, *k, shaft.slack)))
+        };
+        if b.is_leaf || (!a.is_leaf && b.patches.len() <= a.patches.len()) {
+            seen.push((to, between));
+            return Ok(());
+        }
+        sights.parts(to).into_iter().try_for_each(|part| self.look(from, part, &between, seen))
     }
 }
 

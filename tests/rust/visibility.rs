@@ -1,6 +1,7 @@
 //! Rays against brute force in f64, watertightness where it is hardest, and the proof of empty shafts against segments.
 
-use radiosity::Progress;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use radiosity::form_factor::area_quadrature::kernel;
 use radiosity::geometry::sampling::point_in_triangle;
 use radiosity::geometry::{Triangle, Vec3};
@@ -9,8 +10,11 @@ use radiosity::visibility::bodies::Bodies;
 use radiosity::visibility::shaft::Shaft;
 use radiosity::visibility::sight::{Sights, View};
 use radiosity::visibility::{Bvh, Hit, Instructions, NO_PATCH, Ray, Segment};
+use radiosity::{Error, Progress};
 
-use crate::common::{Mesh, PLENTY, Random, box_from, box_in_box, cube, icosphere, plate, rotated, two_plates, vec3};
+use crate::common::{
+    Mesh, PLENTY, Random, box_from, box_in_box, cube, icosphere, on_threads, plate, rotated, two_plates, vec3,
+};
 
 const NOBODY: [u32; 2] = [NO_PATCH; 2];
 
@@ -443,7 +447,9 @@ fn sights(scene: &Scene, random: &Random) -> [usize; 3] {
     let mut seen: Vec<Option<usize>> = vec![None; n * n];
     // In two parts, as rows are made in blocks.
     for rows in [0..n as u32 / 3, n as u32 / 3..n as u32] {
-        for (i, j, between) in sights.visit(&rows, scene, &bodies, &collect).unwrap().into_iter().flatten() {
+        for (i, j, between) in
+            sights.visit(&rows, scene, &bodies, &Progress::default(), &collect).unwrap().into_iter().flatten()
+        {
             assert!(rows.contains(&i) && j < i);
             assert_eq!(seen[i as usize * n + j as usize].replace(between), None, "{i} and {j} come twice");
         }
@@ -490,6 +496,27 @@ fn clusters_that_are_left_out_see_nothing_and_what_is_not_named_blocks_nothing()
             assert!(often && (in_a_heap || (left_out > 500 && clear > 500)), "{name}: {left_out} {clear} {named}");
         }
     }
+}
+
+#[test]
+fn a_wish_to_stop_ends_the_walk() {
+    let random = Random::new(23);
+    let heap: Vec<Triangle> = (0..400).map(|_| random.triangle(random.in_cube(), 0.3)).collect();
+    let scene = Mesh::of_triangles(&heap).scene();
+    let bodies = Bodies::of_scene(&scene);
+    let (progress, calls) = (Progress::default(), AtomicUsize::new(0));
+    let stop = |_: u32, _: &View| {
+        calls.fetch_add(1, Ordering::Relaxed);
+        progress.stop();
+        Ok(())
+    };
+    let visit = || Sights::new(&scene, &bodies).visit(&(0..400), &scene, &bodies, &progress, &stop);
+    assert!(matches!(on_threads(2, visit), Err(Error::Interrupted)));
+    // One a thread, at most: each looks at the wish before it goes on.
+    let first = calls.load(Ordering::Relaxed);
+    assert!((1..=2).contains(&first), "{first} calls");
+    assert!(matches!(visit(), Err(Error::Interrupted)));
+    assert_eq!(calls.load(Ordering::Relaxed), first);
 }
 
 /// All see all, and every triangle is a body of its own.
