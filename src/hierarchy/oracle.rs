@@ -90,7 +90,8 @@ impl<'a> Oracle<'a> {
         if reach < distance && a.faces(b) && b.faces(a) {
             return 0.0;
         }
-        UNSHOWN * a.area * b.area / (std::f64::consts::PI * distance.max(reach).powi(2))
+        let most = a.most_cosines(b);
+        UNSHOWN * most * a.area * b.area / (std::f64::consts::PI * distance.max(reach).powi(2))
     }
 
     /// The exchange without what stands between, as the samples show it, and S of it, appended to `matrix`: K_p rows of K_q

@@ -98,6 +98,13 @@ impl Node {
         }
     }
 
+    /// The most that cos_x cos_y may be between a place x of this and y of `other`: their sum is (n_x - n_y) . w, w the direction from x
+    /// to y, so that neither the sum is above |n_x - n_y| nor the product above sin^2 of half the angle between the normals.
+    pub fn most_cosines(&self, other: &Node) -> f64 {
+        let angle = self.axis.dot(other.axis).clamp(-1.0, 1.0).acos() + self.spread + other.spread;
+        (0.5 * angle.min(std::f64::consts::PI)).sin().powi(2)
+    }
+
     fn slack(&self, other: &Node) -> f64 {
         1e-12 * (self.radius + other.radius + self.centre.distance(other.centre))
     }
