@@ -14,6 +14,7 @@ use crate::assembly::Blockers;
 use crate::form_factor::area_quadrature::kernel;
 use crate::form_factor::{Accuracy, Batch, Shape};
 use crate::geometry::Vec3;
+use crate::geometry::polygon::Plane;
 use crate::geometry::sampling::{Sobol, hash};
 use crate::scene::Scene;
 use crate::visibility::Segment;
@@ -179,8 +180,10 @@ impl<'a> Oracle<'a> {
     /// Whether nothing is known to stand between two nodes.
     pub fn is_clear(&self, tree: &Tree, p: usize, q: usize) -> bool {
         let (a, b) = (&tree.nodes[p], &tree.nodes[q]);
-        self.blockers.bodies.is_empty()
-            || self.blockers.bodies.is_clear(&Shaft::between(&a.hull, &b.hull, [a.plane, b.plane]), [a.body, b.body])
+        let has_before = |face: &Plane| [p, q].iter().all(|&k| tree.is_before(face, a.slack(b), k));
+        let bodies = &self.blockers.bodies;
+        bodies.is_empty()
+            || bodies.is_clear(&Shaft::between(&a.hull, &b.hull, [a.plane, b.plane]), [a.body, b.body], has_before)
     }
 
     /// Looks what stands between, by so many segments.

@@ -18,6 +18,7 @@ use crate::geometry::{Triangle, Vec3};
 use crate::scene::Scene;
 use crate::visibility::NO_PATCH;
 use crate::visibility::bodies::Bodies;
+use crate::visibility::body::extremes;
 
 /// Places from which a node is looked at, at most.
 pub const SAMPLES: usize = 8;
@@ -105,7 +106,8 @@ impl Node {
         (0.5 * angle.min(std::f64::consts::PI)).sin().powi(2)
     }
 
-    fn slack(&self, other: &Node) -> f64 {
+    /// A length that counts as none beside the two.
+    pub fn slack(&self, other: &Node) -> f64 {
         1e-12 * (self.radius + other.radius + self.centre.distance(other.centre))
     }
 
@@ -254,7 +256,7 @@ impl Tree {
         let corners = || self.sorted[draft.patches.clone()].iter().flat_map(|&i| scene.triangle(i as usize));
         let hull = match &plane {
             Some(plane) => rectangle(plane, corners()),
-            None => corners_of_box(corners()),
+            None => corners_of_box(axis, corners()),
         };
         let radius = hull.iter().map(|x| x.distance(middle)).fold(0.0, f64::max).min(size);
         let body = children().map(|child| child.body).reduce(|a, b| if a == b { a } else { NONE }).unwrap_or(NONE);
@@ -381,6 +383,16 @@ impl Tree {
         (point_in_triangle(&scene.triangle(patch as usize), rest, v), scene.normals()[patch as usize], patch)
     }
 
+    /// Whether all patches of a node lie before a plane, or stand out of it by no more than `slack`. Where corners of boxes lie behind
+    /// it, patches need not.
+    pub fn is_before(&self, plane: &Plane, slack: f64, number: usize) -> bool {
+        let node = &self.nodes[number];
+        node.hull.iter().all(|x| plane.distance(*x) >= -slack)
+            || (plane.distance(node.centre) >= -slack
+                && !node.is_polygon
+                && node.children.clone().all(|child| self.is_before(plane, slack, child as usize)))
+    }
+
     /// Bytes held.
     pub fn nbytes(&self) -> usize {
         let of_node = |node: &Node| {
@@ -455,9 +467,19 @@ fn rectangle(plane: &Plane, points: impl Iterator<Item = Vec3> + Clone) -> Vec<V
     vec![corner(low[0], low[1]), corner(high[0], low[1]), corner(high[0], high[1]), corner(low[0], high[1])]
 }
 
-/// Corners of the box around points.
-fn corners_of_box(points: impl Iterator<Item = Vec3>) -> Vec<Vec3> {
-    let (low, high) = crate::visibility::body::extremes(points);
-    let pick = |k: usize, bit: usize| if k >> bit & 1 == 0 { low[bit] } else { high[bit] };
-    (0..8).map(|k| Vec3::new(pick(k, 0), pick(k, 1), pick(k, 2))).collect()
+/// Corners of a box around points: along the axes, or along a direction, which fits a part of a bowl.
+fn corners_of_box(direction: Vec3, points: impl Iterator<Item = Vec3> + Clone) -> Vec<Vec3> {
+    let (u, v) = direction.any_orthonormal_pair();
+    let boxes = [[Vec3::X, Vec3::Y, Vec3::Z], [u, v, direction]].map(|axes| {
+        let along = points.clone().map(|x| Vec3::from_array(axes.map(|axis| axis.dot(x))));
+        (axes, extremes(along))
+    });
+    let surface = |(low, high): (Vec3, Vec3)| {
+        let size = high - low;
+        size.x * size.y + size.y * size.z + size.z * size.x
+    };
+    let [aligned, turned] = boxes;
+    let (axes, (low, high)) = if surface(turned.1) < surface(aligned.1) { turned } else { aligned };
+    let pick = |k: usize, bit: usize| if k >> bit & 1 == 0 { low[bit] } else { high[bit] } * axes[bit];
+    (0..8).map(|k| pick(k, 0) + pick(k, 1) + pick(k, 2)).collect()
 }

@@ -108,11 +108,13 @@ impl Bodies {
         (found.len() <= most).then(|| found.into_iter().map(|k| &self.bodies[k as usize]).collect())
     }
 
-    /// Whether no body is known to reach into a shaft but for those that all of an end lies on, `own`.
-    pub fn is_clear(&self, shaft: &Shaft, own: [u32; 2]) -> bool {
+    /// Whether no body is known to reach into a shaft but for those that all of an end lies on, `own`, and those that have all that
+    /// spans it before one of their faces, as `has_before` tells: in a bowl of facets, all.
+    pub fn is_clear(&self, shaft: &Shaft, own: [u32; 2], has_before: impl Fn(&Plane) -> bool) -> bool {
         let mut clear = true;
         self.near(shaft, own, |k| {
-            clear = !shaft.holds(&self.bodies[k as usize]);
+            let body = &self.bodies[k as usize];
+            clear = !shaft.may_hold(body) || body.faces.iter().any(&has_before) || !shaft.holds(body);
             clear
         });
         clear
