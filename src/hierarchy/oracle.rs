@@ -61,10 +61,25 @@ impl Exchange {
         self.kernel_error + self.unoccluded * (self.unevenness + self.fraction_error)
     }
 
+    /// Whether some segments have passed, and others have not.
+    pub fn is_mixed(&self) -> bool {
+        self.fraction > 0.0 && self.fraction < 1.0
+    }
+
     /// G, m^2.
     pub fn occluded(&self) -> f64 {
         self.unoccluded * self.fraction
     }
+}
+
+/// What is visible of places of one node from places of another, each from each.
+pub struct Across {
+    /// v.
+    pub fraction: f64,
+    /// The standard error of v.
+    pub error: f64,
+    /// How far V varies over either node: the mean of |V - v|, where V is the mean over the other.
+    pub uneven: [f64; 2],
 }
 
 /// Looks at pairs of nodes; memory that is used again.
@@ -222,6 +237,48 @@ impl<'a> Oracle<'a> {
         // Laplace's rule of succession where all agree.
         exchange.fraction_error =
             if v > 0.0 && v < 1.0 { (v * (1.0 - v) / effective).sqrt() } else { 1.0 / (effective + 2.0) };
+    }
+
+    /// Looks from so many places of one node to so many of another.
+    pub fn look_across(&self, tree: &Tree, [p, q]: [usize; 2], [m, n]: [u32; 2]) -> Across {
+        let sobol: Sobol<4> = Sobol::new(hash(self.seed ^ hash((p as u64) << 32 | q as u64)));
+        let ends = (0..n).map(|k| sobol.point(k)).map(|[_, _, s, t]| tree.point(self.scene, q, s, t));
+        let ends: Vec<_> = ends.collect();
+        let (mut pairs, mut all) = (Vec::new(), Vec::new());
+        for k in 0..m {
+            let [u, v, ..] = sobol.point(k);
+            let (start, normal, i) = tree.point(self.scene, p, u, v);
+            for (l, &(end, other, j)) in ends.iter().enumerate() {
+                let weight = kernel(start, normal, end, other);
+                if weight > 0.0 && weight.is_finite() {
+                    pairs.push((k as usize, l, weight));
+                    all.push(Segment { start, end, exclude: [i, j] });
+                }
+            }
+        }
+        // In units of the largest, squares neither overflow nor vanish.
+        let unit = pairs.iter().fold(f64::MIN_POSITIVE, |peak, pair| pair.2.max(peak));
+        // What could be seen of every place, and what is.
+        let (mut of_starts, mut of_ends) = (vec![[0.0; 2]; m as usize], vec![[0.0; 2]; n as usize]);
+        for (&(k, l, weight), blocked) in pairs.iter().zip(self.blockers.tree.blocked_between(&all)) {
+            let weight = weight / unit;
+            for [all, seen] in [&mut of_starts[k], &mut of_ends[l]] {
+                *all += weight;
+                *seen += if blocked { 0.0 } else { weight };
+            }
+        }
+        let [total, visible] = of_starts.iter().fold([0.0; 2], |[a, b], sum| [a + sum[0], b + sum[1]]);
+        if !(total > 0.0) {
+            return Across { fraction: 0.5, error: 0.5, uneven: [0.5; 2] };
+        }
+        let v = visible / total;
+        let of_places = |sums: &[[f64; 2]]| {
+            let differences = || sums.iter().map(|[all, seen]| (seen - v * all) / total);
+            let squares: f64 = differences().map(|d| d * d).sum();
+            (squares, differences().map(f64::abs).sum::<f64>())
+        };
+        let [(of_p, over_p), (of_q, over_q)] = [of_places(&of_starts), of_places(&of_ends)];
+        Across { fraction: v, error: (of_p + of_q).sqrt(), uneven: [over_p, over_q] }
     }
 }
 

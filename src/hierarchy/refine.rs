@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::functions::MOST;
 use super::link::{Found, Link, NO_MATRIX};
-use super::oracle::{FIRST_SEGMENTS, Oracle, Visibility};
+use super::oracle::{Across, Exchange, FIRST_SEGMENTS, Oracle, Visibility};
 use super::tree::Tree;
 use crate::assembly::Blockers;
 use crate::error::{Error, Result};
@@ -41,8 +41,8 @@ struct Pair {
     q: u32,
     /// Whether it is known that nothing stands between.
     clear: bool,
-    /// Whether it has been looked at, and has to be parted.
-    part: bool,
+    /// The node at which it has to be parted, where that is known.
+    part: Option<usize>,
 }
 
 /// What refinement has done.
@@ -89,6 +89,12 @@ const GROWTH: u64 = 2;
 const BYTES_OF_LINK: u64 = (size_of::<Link>() + 8 * (MOST - 1) * (MOST - 1) + 48) as u64;
 /// A node of the tree, about.
 const BYTES_OF_NODE: u64 = 1600;
+/// Places of two nodes, each looked at from each, that tell over which of the two visibility varies more.
+const ACROSS: [u32; 2] = [4, 4];
+/// How many times as much counts as clearly more.
+const CLEARLY: f64 = 2.0;
+/// Places again where that is a leaf that may not be cut, of it and of the other: to find its mean.
+const CLOSER: [u32; 2] = [16, 8];
 /// What one pair may become on the next level.
 const PARTS: u64 = 4;
 
@@ -109,7 +115,7 @@ impl Refinement<'_> {
         let mut kept = Found::default();
         done.stopped = 0;
         let mut frontier = match found {
-            None => vec![Pair { p: 0, q: 0, clear: self.blockers.bodies.is_empty(), part: false }],
+            None => vec![Pair { p: 0, q: 0, clear: self.blockers.bodies.is_empty(), part: None }],
             Some(found) => {
                 let mut frontier = Vec::new();
                 for link in &found.links {
@@ -121,7 +127,10 @@ impl Refinement<'_> {
                         done.stopped += u64::from(!is_allowed);
                     } else {
                         let clear = link.exchange.visibility == Visibility::Full;
-                        frontier.push(Pair { p: link.p, q: link.q, clear, part: true });
+                        // What is mixed is looked at once more, to tell which end is to be parted.
+                        let larger = || by_size(tree, p, q).into_iter().find(|&k| can_part(tree, goal, k));
+                        let part = if link.exchange.is_mixed() { None } else { larger() };
+                        frontier.push(Pair { p: link.p, q: link.q, clear, part });
                     }
                 }
                 frontier
@@ -193,7 +202,48 @@ impl Refinement<'_> {
 
 /// Whether a link between two nodes is as fine as it may be.
 pub fn is_final(tree: &Tree, goal: &impl Goal, p: usize, q: usize) -> bool {
-    [p, q].into_iter().all(|k| tree.nodes[k].is_leaf() && !goal.may_divide(tree, k))
+    [p, q].into_iter().all(|k| !can_part(tree, goal, k))
+}
+
+/// A leaf that may not be cut is never parted.
+fn can_part(tree: &Tree, goal: &impl Goal, number: usize) -> bool {
+    !tree.nodes[number].is_leaf() || goal.may_divide(tree, number)
+}
+
+/// Two nodes, the larger first: that one is to be parted, if it can be.
+fn by_size(tree: &Tree, p: usize, q: usize) -> [usize; 2] {
+    if tree.nodes[p].radius >= tree.nodes[q].radius { [p, q] } else { [q, p] }
+}
+
+/// Looks what is to be parted where only some is visible: the larger, or the smaller if that varies more over it, by [`CLEARLY`].
+/// A cluster of which a part lies beneath a block sees little of anything from there: to part what it looks at would be in vain.
+///
+/// A leaf that may not be cut takes part with its mean alone: what is visible may vary over it, and the mean is looked for.
+/// Returns segments and what is to be parted.
+fn look_across(
+    oracle: &Oracle,
+    tree: &Tree,
+    goal: &impl Goal,
+    nodes: [usize; 2],
+    exchange: &mut Exchange,
+) -> (u64, usize) {
+    let Across { uneven, .. } = oracle.look_across(tree, nodes, ACROSS);
+    let looked = u64::from(ACROSS[0] * ACROSS[1]);
+    let more = usize::from(uneven[1] > CLEARLY * uneven[0]);
+    let other = 1 - more;
+    if can_part(tree, goal, nodes[more]) {
+        return (looked, nodes[more]);
+    }
+    if !goal.allows(nodes[0], nodes[1], exchange.unoccluded * uneven[other]) {
+        return (looked, nodes[other]);
+    }
+    let mut counts = CLOSER;
+    counts.swap(0, more);
+    let across = oracle.look_across(tree, nodes, counts);
+    exchange.fraction = across.fraction;
+    exchange.unevenness = across.uneven[other];
+    exchange.fraction_error = across.error;
+    (looked + u64::from(CLOSER[0] * CLOSER[1]), nodes[other])
 }
 
 /// Makes a link of a pair, or parts it.
@@ -206,7 +256,7 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
         if a.plane.is_none() && !a.is_leaf() {
             for (k, first) in a.children.clone().enumerate() {
                 let others = a.children.clone().skip(k);
-                out.next.extend(others.map(|second| Pair { p: first, q: second, clear: pair.clear, part: false }));
+                out.next.extend(others.map(|second| Pair { p: first, q: second, clear: pair.clear, part: None }));
             }
         }
         return;
@@ -214,21 +264,20 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
     if a.faces_away(b) || b.faces_away(a) {
         return;
     }
-    // The larger is parted; a leaf that may not be cut, never.
-    let can = |number: usize| !tree.nodes[number].is_leaf() || goal.may_divide(tree, number);
-    let larger = if a.radius >= b.radius { [p, q] } else { [q, p] };
-    let to_part = larger.into_iter().find(|&number| can(number)).filter(|_| !accept);
+    let larger = by_size(tree, p, q);
+    let can = |number: usize| can_part(tree, goal, number);
+    let mut to_part = larger.into_iter().find(|&number| can(number)).filter(|_| !accept);
     let part = |clear: bool, number: usize, out: &mut Part| {
         let other = if number == p { pair.q } else { pair.p };
         if tree.nodes[number].is_leaf() {
             out.divide.push(number as u32);
-            out.waiting.push(Pair { clear, part: true, ..pair });
+            out.waiting.push(Pair { clear, part: Some(number), ..pair });
         } else {
             let parts = tree.nodes[number].children.clone();
-            out.next.extend(parts.map(|part| Pair { p: part.min(other), q: part.max(other), clear, part: false }));
+            out.next.extend(parts.map(|part| Pair { p: part.min(other), q: part.max(other), clear, part: None }));
         }
     };
-    if let Some(number) = to_part.filter(|_| pair.part) {
+    if let Some(number) = pair.part.filter(|_| !accept) {
         return part(pair.clear, number, out);
     }
     if let Some(number) = to_part.filter(|_| !goal.allows(p, q, oracle.unseen(a, b))) {
@@ -259,6 +308,11 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
         }
         if most == 0 {
             exchange.visibility = Visibility::Partial;
+        }
+        if to_part.is_some() && exchange.is_mixed() && !goal.allows(p, q, exchange.error()) {
+            let (looked, number) = look_across(oracle, tree, goal, larger, &mut exchange);
+            out.done.segments += looked;
+            to_part = Some(number);
         }
     }
     if accept && larger.into_iter().any(can) && oracle.unseen(a, b) > 0.0 {
