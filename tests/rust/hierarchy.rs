@@ -10,8 +10,8 @@ use radiosity::scene::{Scene, Sides};
 use radiosity::{Error, Progress, Result};
 
 use crate::common::{
-    Mesh, PLENTY, Random, assert_close, box_in_box, cube, dense, icosphere, invalid, on_threads, plate, stack_in_box,
-    table,
+    Mesh, PLENTY, Random, assert_close, box_from, box_in_box, cube, dense, icosphere, invalid, on_threads, plate,
+    stack_in_box, table, vec3,
 };
 
 fn links(scene: &Scene, tolerance: f64) -> (Links, Reached) {
@@ -168,6 +168,33 @@ fn links_are_the_same_bits_for_any_number_of_threads() {
     let one = on_threads(1, bits);
     assert_eq!(one, on_threads(2, bits));
     assert_eq!(one, on_threads(5, bits));
+}
+
+/// Links a patch.
+fn density(mesh: &Mesh, tolerance: f64) -> f64 {
+    let scene = mesh.scene();
+    links(&scene, tolerance).0.found.links.len() as f64 / scene.len() as f64
+}
+
+#[test]
+fn links_a_patch_become_fewer_in_a_bowl_of_more_facets() {
+    // Half of a sphere over a plate that lies behind it: every facet has something on either side, and none is in the way.
+    let bowl = |level: usize| {
+        let mut bowl = icosphere(level).reversed();
+        let vertices = bowl.vertices.clone();
+        bowl.faces.retain(|face| face.iter().map(|&v| vertices[v as usize].z).sum::<f64>() < 0.0);
+        bowl.and(&plate(vec3(-10.0, -10.0, -2.0), 20.0 * Vec3::Y, 20.0 * Vec3::X, 1))
+    };
+    let [few, many] = [3, 5].map(|level| density(&bowl(level), 0.1));
+    assert!(many < 0.5 * few, "{few} links a patch, {many} of sixteen times as many");
+}
+
+#[test]
+fn links_a_patch_stay_few_where_patches_lie_partly_beneath_a_block() {
+    // Its foot runs through patches, of which a part sees nothing.
+    let room = |k: usize| cube(k).and(&box_from(vec3(0.31, 0.27, 0.0), vec3(0.71, 0.63, 0.4), k));
+    let [few, many] = [8, 24].map(|k| density(&room(k), 0.3));
+    assert!(many < few, "{few} links a patch, {many} of nine times as many");
 }
 
 #[test]
