@@ -277,6 +277,34 @@ def print_growth(limit: float) -> None:
     _operators('A crater: form_factors(crater(rings), 0.3, "hierarchical")', growing(crater_of), limit)
 
 
+def rows(scene: rad.Scene, tolerance: float) -> Found:
+    """What links say of their rows beside how far these are off, sum over j of |dF_ij|."""
+    links = rad.form_factors(scene, tolerance, "hierarchical", **QUIET)
+    off = np.abs(links.toarray() - rad.form_factors(scene, 1e-3, **QUIET).toarray()).sum(axis=1)
+    return {"n": scene.n_patches, "told": links.error_estimate, "worst": off.max(), "mean": off.mean()}
+
+
+def print_rows(limit: float) -> None:
+    """Rows of links against dense rows."""
+    print("\nRows of links, sum over j of |dF_ij|\n")
+    print("| scene | n | asked | told | worst | mean |\n|---|---|---|---|---|---|")
+    scenes = {
+        "Cornell box": cornell(2500),
+        "two rooms": rad.scenes.two_rooms(),
+        "colonnade": rad.scenes.colonnade(),
+        "crater": crater(16, 12, outermost=None),
+    }
+    for name, scene in scenes.items():
+        for tolerance in (0.3, 0.1, 0.03):
+            found = alone(lambda scene=scene, tolerance=tolerance: rows(scene, tolerance), limit)
+            told = (
+                "over the limit | | "
+                if found is None
+                else " | ".join(f"{found[k]:.2%}" for k in ("told", "worst", "mean"))
+            )
+            print(f"| {name} | {scene.n_patches:,} | {tolerance:.0%} | {told} |", flush=True)
+
+
 def print_theatre(limit: float) -> None:
     """A solve of up to a million triangles."""
     print("\nA theatre: solve(theatre(n), tolerance=0.05)\n")
@@ -299,6 +327,7 @@ TABLES: dict[str, Callable[[float], None]] = {
     "city": print_city,
     "crater": print_crater,
     "growth": print_growth,
+    "rows": print_rows,
     "theatre": print_theatre,
 }
 
