@@ -106,11 +106,8 @@ impl<'a> Oracle<'a> {
         if reach < distance && a.faces(b) && b.faces(a) {
             return 0.0;
         }
-        // A part, where both are flat; where normals vary, all that can pass, as long as that is no larger part of what could if they
-        // did not matter.
         let most = a.most_cosines(b);
-        let share = if a.plane.is_some() && b.plane.is_some() { UNSHOWN * most } else { UNSHOWN.min(most) };
-        share * a.area * b.area / (std::f64::consts::PI * distance.max(reach).powi(2))
+        UNSHOWN * most * a.area * b.area / (std::f64::consts::PI * distance.max(reach).powi(2))
     }
 
     /// The exchange without what stands between, as the samples show it, and S of it, appended to `matrix`: K_p rows of K_q
