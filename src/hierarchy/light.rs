@@ -205,6 +205,10 @@ impl Goal for Light {
         MOST_SEGMENTS
     }
 
+    fn holds_each(&self) -> bool {
+        false
+    }
+
     fn grown(&mut self, tree: &Tree) {
         self.follow(tree);
     }

@@ -67,6 +67,10 @@ impl Goal for Rows<'_> {
         0
     }
 
+    fn holds_each(&self) -> bool {
+        true
+    }
+
     fn grown(&mut self, _: &Tree) {}
 }
 

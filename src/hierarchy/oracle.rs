@@ -80,7 +80,12 @@ pub struct Across {
     pub error: f64,
     /// How far V varies over either node: the mean of |V - v|, where V is the mean over the other.
     pub uneven: [f64; 2],
+    /// The largest |V - v| of a place, in proportion to its share of the exchange.
+    pub most: [f64; 2],
 }
+
+/// The two numbers of [`Tree::point`] for a place of one node, and two for a place of another.
+pub type Ends = [f64; 4];
 
 /// Looks at pairs of nodes; memory that is used again.
 pub struct Oracle<'a> {
@@ -102,10 +107,10 @@ impl<'a> Oracle<'a> {
     /// What samples may have missed of the kernel, the integral of |dK|, m^2: nothing, but next to each other, or across the other's
     /// horizon.
     pub fn unseen(&self, a: &Node, b: &Node) -> f64 {
-        let (distance, reach) = (a.centre.distance(b.centre), a.radius + b.radius);
-        if reach < distance && a.faces(b) && b.faces(a) {
+        if a.is_apart(b) && a.faces(b) && b.faces(a) {
             return 0.0;
         }
+        let (distance, reach) = (a.centre.distance(b.centre), a.radius + b.radius);
         let most = a.most_cosines(b);
         UNSHOWN * most * a.area * b.area / (std::f64::consts::PI * distance.max(reach).powi(2))
     }
@@ -201,33 +206,47 @@ impl<'a> Oracle<'a> {
             || bodies.is_clear(&Shaft::between(&a.hull, &b.hull, [a.plane, b.plane]), [a.body, b.body], has_before)
     }
 
-    /// Looks what stands between, by so many segments.
-    pub fn look_between(&self, tree: &Tree, p: usize, q: usize, segments: u32, exchange: &mut Exchange) {
-        let sobol: Sobol<4> = Sobol::new(hash(self.seed ^ hash((p as u64) << 32 | q as u64)));
-        let (mut weights, mut all) = (Vec::with_capacity(segments as usize), Vec::with_capacity(segments as usize));
+    /// Looks what stands between, by so many segments: as many from every patch, or as many from all areas alike. Where they do not
+    /// agree, one of those with which fewer agree is returned.
+    pub fn look_between(
+        &self,
+        tree: &Tree,
+        nodes: [usize; 2],
+        segments: u32,
+        by_patches: bool,
+        exchange: &mut Exchange,
+    ) -> Option<Ends> {
+        let sobol = self.sobol(nodes);
+        let (mut looks, mut all) = (Vec::with_capacity(segments as usize), Vec::with_capacity(segments as usize));
         for k in 0..segments {
-            let [u, v, s, t] = sobol.point(k);
-            let (start, normal, i) = tree.point(self.scene, p, u, v);
-            let (end, other, j) = tree.point(self.scene, q, s, t);
-            let weight = kernel(start, normal, end, other);
+            let mut ends = sobol.point(k);
+            let mut weight = 1.0;
+            for (number, u) in nodes.into_iter().zip([0, 2]).filter(|_| by_patches) {
+                let area;
+                (ends[u], area) = tree.by_patches(number, ends[u]);
+                weight *= area;
+            }
+            let (segment, kernel) = self.segment(tree, nodes, ends);
+            weight *= kernel;
             if weight > 0.0 && weight.is_finite() {
-                weights.push(weight);
-                all.push(Segment { start, end, exclude: [i, j] });
+                looks.push((weight, ends));
+                all.push(segment);
             }
         }
         // In units of the largest, squares neither overflow nor vanish.
-        let unit = weights.iter().fold(f64::MIN_POSITIVE, |peak, w| w.max(peak));
+        let unit = looks.iter().fold(f64::MIN_POSITIVE, |peak, look| look.0.max(peak));
         let (mut visible, mut total, mut squares) = (0.0, 0.0, 0.0);
-        for (weight, blocked) in weights.iter().zip(self.blockers.tree.blocked_between(&all)) {
+        let blocked = self.blockers.tree.blocked_between(&all);
+        for (&(weight, _), blocked) in looks.iter().zip(&blocked) {
             let weight = weight / unit;
             total += weight;
             squares += weight * weight;
-            visible += if blocked { 0.0 } else { weight };
+            visible += if *blocked { 0.0 } else { weight };
         }
         if !(total > 0.0) {
             // No two sampled places face each other: nothing was learnt, and the exchange is next to nothing.
             (exchange.visibility, exchange.fraction, exchange.fraction_error) = (Visibility::Partial, 0.5, 0.5);
-            return;
+            return None;
         }
         let v = (visible / total).clamp(0.0, 1.0);
         let effective = total * total / squares;
@@ -237,48 +256,66 @@ impl<'a> Oracle<'a> {
         // Laplace's rule of succession where all agree.
         exchange.fraction_error =
             if v > 0.0 && v < 1.0 { (v * (1.0 - v) / effective).sqrt() } else { 1.0 / (effective + 2.0) };
+        let is_rare = 2 * blocked.iter().filter(|blocked| **blocked).count() <= blocked.len();
+        looks.iter().zip(&blocked).find(|(_, blocked)| **blocked == is_rare).map(|((_, ends), _)| *ends)
     }
 
-    /// Looks from so many places of one node to so many of another.
-    pub fn look_across(&self, tree: &Tree, [p, q]: [usize; 2], [m, n]: [u32; 2]) -> Across {
-        let sobol: Sobol<4> = Sobol::new(hash(self.seed ^ hash((p as u64) << 32 | q as u64)));
-        let ends = (0..n).map(|k| sobol.point(k)).map(|[_, _, s, t]| tree.point(self.scene, q, s, t));
-        let ends: Vec<_> = ends.collect();
+    /// Looks from so many places of one node to so many of another. One more of either may be given that was chosen for what it sees: it
+    /// tells only how far that is from the mean.
+    pub fn look_across(&self, tree: &Tree, nodes: [usize; 2], counts: [u32; 2], chosen: Option<Ends>) -> Across {
+        let [m, n] = counts.map(|count| count as usize);
+        let sobol = self.sobol(nodes);
+        let [starts, ends] = [(m, 0), (n, 2)].map(|(count, u)| {
+            let places = (0..count).map(|k| sobol.point(k as u32)).chain(chosen);
+            places.map(|ends| [ends[u], ends[u + 1]]).collect::<Vec<_>>()
+        });
         let (mut pairs, mut all) = (Vec::new(), Vec::new());
-        for k in 0..m {
-            let [u, v, ..] = sobol.point(k);
-            let (start, normal, i) = tree.point(self.scene, p, u, v);
-            for (l, &(end, other, j)) in ends.iter().enumerate() {
-                let weight = kernel(start, normal, end, other);
+        for (k, [u, v]) in starts.iter().enumerate() {
+            for (l, [s, t]) in ends.iter().enumerate().filter(|(l, _)| k < m || *l < n) {
+                let (segment, weight) = self.segment(tree, nodes, [*u, *v, *s, *t]);
                 if weight > 0.0 && weight.is_finite() {
-                    pairs.push((k as usize, l, weight));
-                    all.push(Segment { start, end, exclude: [i, j] });
+                    pairs.push((k, l, weight));
+                    all.push(segment);
                 }
             }
         }
         // In units of the largest, squares neither overflow nor vanish.
         let unit = pairs.iter().fold(f64::MIN_POSITIVE, |peak, pair| pair.2.max(peak));
         // What could be seen of every place, and what is.
-        let (mut of_starts, mut of_ends) = (vec![[0.0; 2]; m as usize], vec![[0.0; 2]; n as usize]);
+        let (mut of_starts, mut of_ends) = (vec![[0.0; 2]; starts.len()], vec![[0.0; 2]; ends.len()]);
         for (&(k, l, weight), blocked) in pairs.iter().zip(self.blockers.tree.blocked_between(&all)) {
             let weight = weight / unit;
-            for [all, seen] in [&mut of_starts[k], &mut of_ends[l]] {
+            let sums = [(l < n).then_some(&mut of_starts[k]), (k < m).then_some(&mut of_ends[l])];
+            for [all, seen] in sums.into_iter().flatten() {
                 *all += weight;
                 *seen += if blocked { 0.0 } else { weight };
             }
         }
-        let [total, visible] = of_starts.iter().fold([0.0; 2], |[a, b], sum| [a + sum[0], b + sum[1]]);
+        let [total, visible] = of_starts[..m].iter().fold([0.0; 2], |[a, b], sum| [a + sum[0], b + sum[1]]);
         if !(total > 0.0) {
-            return Across { fraction: 0.5, error: 0.5, uneven: [0.5; 2] };
+            return Across { fraction: 0.5, error: 0.5, uneven: [0.5; 2], most: [0.5; 2] };
         }
         let v = visible / total;
-        let of_places = |sums: &[[f64; 2]]| {
-            let differences = || sums.iter().map(|[all, seen]| (seen - v * all) / total);
-            let squares: f64 = differences().map(|d| d * d).sum();
-            (squares, differences().map(f64::abs).sum::<f64>())
+        let of_places = |sums: &[[f64; 2]], count: usize| {
+            let differences: Vec<f64> = sums.iter().map(|[all, seen]| (seen - v * all) / total).collect();
+            let squares: f64 = differences[..count].iter().map(|d| d * d).sum();
+            let most = differences.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
+            (squares, differences[..count].iter().map(|d| d.abs()).sum::<f64>(), most * count as f64)
         };
-        let [(of_p, over_p), (of_q, over_q)] = [of_places(&of_starts), of_places(&of_ends)];
-        Across { fraction: v, error: (of_p + of_q).sqrt(), uneven: [over_p, over_q] }
+        let [(of_p, over_p, most_p), (of_q, over_q, most_q)] = [of_places(&of_starts, m), of_places(&of_ends, n)];
+        Across { fraction: v, error: (of_p + of_q).sqrt(), uneven: [over_p, over_q], most: [most_p, most_q] }
+    }
+
+    /// What two nodes are looked at by.
+    fn sobol(&self, [p, q]: [usize; 2]) -> Sobol<4> {
+        Sobol::new(hash(self.seed ^ hash((p as u64) << 32 | q as u64)))
+    }
+
+    /// From a place of one node to a place of another, and K of the two.
+    fn segment(&self, tree: &Tree, [p, q]: [usize; 2], [u, v, s, t]: Ends) -> (Segment, f64) {
+        let (start, normal, i) = tree.point(self.scene, p, u, v);
+        let (end, other, j) = tree.point(self.scene, q, s, t);
+        (Segment { start, end, exclude: [i, j] }, kernel(start, normal, end, other))
     }
 }
 

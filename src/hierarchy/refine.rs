@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::functions::MOST;
 use super::link::{Found, Link, NO_MATRIX};
-use super::oracle::{Across, Exchange, FIRST_SEGMENTS, Oracle, Visibility};
+use super::oracle::{Across, Ends, Exchange, FIRST_SEGMENTS, Oracle, Visibility};
 use super::tree::Tree;
 use crate::assembly::Blockers;
 use crate::error::{Error, Result};
@@ -26,6 +26,9 @@ pub trait Goal: Sync {
 
     /// Segments that a link between nodes that cannot be parted may take; 0 where its visibility is settled elsewhere.
     fn most_segments(&self) -> u32;
+
+    /// Whether a link has to be right for every patch of its nodes, and not only in the mean.
+    fn holds_each(&self) -> bool;
 
     /// Leaves were cut.
     fn grown(&mut self, tree: &Tree);
@@ -95,6 +98,8 @@ const ACROSS: [u32; 2] = [4, 4];
 const CLEARLY: f64 = 2.0;
 /// Places again where that is a leaf that may not be cut, of it and of the other: to find its mean.
 const CLOSER: [u32; 2] = [16, 8];
+/// Segments that tell at most whether every patch of a cluster sees what all see.
+const EACH: u32 = 1024;
 /// What one pair may become on the next level.
 const PARTS: u64 = 4;
 
@@ -215,6 +220,47 @@ fn by_size(tree: &Tree, p: usize, q: usize) -> [usize; 2] {
     if tree.nodes[p].radius >= tree.nodes[q].radius { [p, q] } else { [q, p] }
 }
 
+/// Looks how much is visible. Where a link has to be right for each patch of a cluster, all of them are looked at until two segments
+/// differ, and then it may be as wrong as it is for a patch that sees all or nothing.
+///
+/// Returns segments, and the ends of one that sees what few others see, where each patch matters.
+fn look_between(
+    oracle: &Oracle,
+    tree: &Tree,
+    goal: &impl Goal,
+    nodes: [usize; 2],
+    exchange: &mut Exchange,
+) -> (u64, Option<Ends>) {
+    let [p, q] = nodes;
+    // Where memory has run out, clusters are looked at like those that are going to be parted.
+    let is_final = is_final(tree, goal, p, q);
+    let by_patches = !is_final && goal.holds_each();
+    let patches = nodes.map(|k| tree.nodes[k].patches.len() as u32);
+    let most = match (is_final, by_patches) {
+        (true, _) => goal.most_segments(),
+        (false, true) => patches[0].max(patches[1]).clamp(FIRST_SEGMENTS, EACH).next_power_of_two(),
+        (false, false) => FIRST_SEGMENTS,
+    };
+    if most == 0 {
+        exchange.visibility = Visibility::Partial;
+        return (0, None);
+    }
+    let (mut segments, mut looked) = (FIRST_SEGMENTS, 0);
+    loop {
+        let rare = oracle.look_between(tree, nodes, segments, by_patches, exchange);
+        looked += u64::from(segments);
+        if let Some(rare) = rare.filter(|_| by_patches) {
+            exchange.unevenness = exchange.fraction.max(1.0 - exchange.fraction);
+            return (looked, Some(rare));
+        }
+        let in_doubt = if by_patches { 1.0 } else { exchange.fraction_error };
+        if segments >= most || goal.allows(p, q, exchange.unoccluded * in_doubt) {
+            return (looked, None);
+        }
+        segments = (4 * segments).min(most);
+    }
+}
+
 /// Looks what is to be parted where only some is visible: the larger, or the smaller if that varies more over it, by [`CLEARLY`].
 /// A cluster of which a part lies beneath a block sees little of anything from there: to part what it looks at would be in vain.
 ///
@@ -225,9 +271,11 @@ fn look_across(
     tree: &Tree,
     goal: &impl Goal,
     nodes: [usize; 2],
+    rare: Option<Ends>,
     exchange: &mut Exchange,
 ) -> (u64, usize) {
-    let Across { uneven, .. } = oracle.look_across(tree, nodes, ACROSS);
+    let varies = |across: &Across| if rare.is_some() { across.most } else { across.uneven };
+    let uneven = varies(&oracle.look_across(tree, nodes, ACROSS, rare));
     let looked = u64::from(ACROSS[0] * ACROSS[1]);
     let more = usize::from(uneven[1] > CLEARLY * uneven[0]);
     let other = 1 - more;
@@ -239,9 +287,9 @@ fn look_across(
     }
     let mut counts = CLOSER;
     counts.swap(0, more);
-    let across = oracle.look_across(tree, nodes, counts);
+    let across = oracle.look_across(tree, nodes, counts, rare);
     exchange.fraction = across.fraction;
-    exchange.unevenness = across.uneven[other];
+    exchange.unevenness = varies(&across)[other];
     exchange.fraction_error = across.error;
     (looked + u64::from(CLOSER[0] * CLOSER[1]), nodes[other])
 }
@@ -294,23 +342,15 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
     }
     let clear = pair.clear || oracle.is_clear(tree, p, q);
     if !clear {
-        // Where memory has run out, clusters are looked at like those that are going to be parted.
-        let most = if larger.into_iter().any(can) { FIRST_SEGMENTS } else { goal.most_segments() };
-        let mut segments = FIRST_SEGMENTS.min(most);
-        while segments > 0 {
-            oracle.look_between(tree, p, q, segments, &mut exchange);
-            out.done.segments += u64::from(segments);
-            let sampled = exchange.unoccluded * exchange.fraction_error;
-            if segments >= most || goal.allows(p, q, sampled) {
-                break;
-            }
-            segments *= 4;
+        if let Some(number) = to_part.filter(|_| goal.holds_each() && !a.is_apart(b)) {
+            // A patch next to the other may see most of what it sees through a gap that no segment meets.
+            out.found.matrices.truncate(at);
+            return part(clear, number, out);
         }
-        if most == 0 {
-            exchange.visibility = Visibility::Partial;
-        }
+        let (looked, rare) = look_between(oracle, tree, goal, larger, &mut exchange);
+        out.done.segments += looked;
         if to_part.is_some() && exchange.is_mixed() && !goal.allows(p, q, exchange.error()) {
-            let (looked, number) = look_across(oracle, tree, goal, larger, &mut exchange);
+            let (looked, number) = look_across(oracle, tree, goal, larger, rare, &mut exchange);
             out.done.segments += looked;
             to_part = Some(number);
         }

@@ -99,6 +99,11 @@ impl Node {
         }
     }
 
+    /// Whether spheres around the two do not meet.
+    pub fn is_apart(&self, other: &Node) -> bool {
+        self.radius + other.radius < self.centre.distance(other.centre)
+    }
+
     /// The most that cos_x cos_y may be between a place x of this and y of `other`: their sum is (n_x - n_y) . w, w the direction from x
     /// to y, so that neither the sum is above |n_x - n_y| nor the product above sin^2 of half the angle between the normals.
     pub fn most_cosines(&self, other: &Node) -> f64 {
@@ -381,6 +386,22 @@ impl Tree {
         let rest = ((wanted - bounds[k]) / (bounds[k + 1] - bounds[k])).clamp(0.0, 1.0);
         let patch = self.sorted[start as usize + k];
         (point_in_triangle(&scene.triangle(patch as usize), rest, v), scene.normals()[patch as usize], patch)
+    }
+
+    /// The first number of [`Self::point`] that belongs to one in [0, 1), so that as many go to each patch as to any other; and the
+    /// area of the patch, relative to the mean.
+    pub fn by_patches(&self, number: usize, u: f64) -> (f64, f64) {
+        let node = &self.nodes[number];
+        if node.is_element() {
+            return (u, 1.0);
+        }
+        let bounds = &self.areas[node.patches.start as usize..=node.patches.end as usize];
+        let count = bounds.len() - 1;
+        let whole = bounds[count] - bounds[0];
+        let at = u * count as f64;
+        let k = (at as usize).min(count - 1);
+        let area = bounds[k + 1] - bounds[k];
+        ((bounds[k] - bounds[0] + (at - k as f64) * area) / whole, area * count as f64 / whole)
     }
 
     /// Whether all patches of a node lie before a plane, or stand out of it by no more than `slack`. Where corners of boxes lie behind

@@ -131,6 +131,29 @@ fn rows_are_within_the_tolerance_and_symmetric() {
 }
 
 #[test]
+fn a_row_is_right_that_sees_what_no_other_of_its_cluster_sees() {
+    // Two slabs hide the floor of a room but for one square in a corner, which sees nothing else than what is closed around it.
+    let k = 24;
+    let square = 1.0 / k as f64;
+    let (low, high) = (vec3(-0.1, -0.1, -0.1), vec3(1.1, 1.1, 0.1));
+    let slabs = box_from(vec3(low.x, square, low.z), high, 1);
+    let slabs = slabs.and(&box_from(vec3(square, low.y, low.z), vec3(high.x, square, high.z), 1));
+    let scene = cube(k).and(&slabs.reversed()).scene();
+    let is_corner = |i: &usize| scene.triangle(*i).iter().all(|x| x.z == 0.0 && x.x.max(x.y) < 1.5 * square);
+    let corner: Vec<usize> = (0..scene.len()).filter(is_corner).collect();
+    assert_eq!(corner.len(), 2);
+    let mut row = vec![0.0; scene.len()];
+    for tolerance in [0.3, 0.1] {
+        let (links, _) = links(&scene, tolerance);
+        for &i in &corner {
+            links.row(i, &mut row);
+            let sum: f64 = row.iter().sum();
+            assert!((sum - 1.0).abs() <= tolerance, "row {i} sums to {sum} at {tolerance}");
+        }
+    }
+}
+
+#[test]
 fn gather_shoot_and_rows_are_the_product() {
     let scene = box_in_box(3).scene();
     let (links, _) = links(&scene, 0.1);
