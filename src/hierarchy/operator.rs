@@ -41,8 +41,10 @@ pub struct Reached {
 const KERNEL_SHARE: f64 = 0.02;
 /// Share of it for links above patches; the rest is for the visibility of pairs of patches.
 const LINK_SHARE: f64 = 0.6;
-/// A link may be wrong by this share of what its row may, at first; each round by half of that.
+/// A link may be wrong by this share of what its row may, at first.
 const FIRST: f64 = 0.05;
+/// Each round by between so much and so much of what it could be wrong by before: errors of rows go about as the root of it.
+const STEPS: [f64; 2] = [0.5, 0.7];
 /// Of the layout of products and the lists of links, and of a matrix row's candidates.
 const BYTES_A_NODE: u64 = 256;
 /// Rounds.
@@ -106,18 +108,18 @@ pub fn form_factors(scene: &Scene, options: &HierarchicalOptions, progress: &Pro
         let links = Links::new(tree, refined);
         let errors = links.row_errors();
         round += 1;
-        // Nodes that have a row under them which is too far off.
-        let mut too_far: Vec<bool> =
-            links.tree.nodes.iter().enumerate().map(|(k, node)| node.is_leaf() && errors[k] > budget).collect();
-        for k in (1..too_far.len()).rev() {
+        // The worst row under every node, of those that are too far off.
+        let is_too_far = |k: usize| links.tree.nodes[k].is_leaf() && errors[k] > budget;
+        let mut worst: Vec<f64> = (0..errors.len()).map(|k| if is_too_far(k) { errors[k] } else { 0.0 }).collect();
+        for k in (1..worst.len()).rev() {
             let parent = links.tree.nodes[k].parent as usize;
-            too_far[parent] |= too_far[k];
+            worst[parent] = worst[parent].max(worst[k]);
         }
-        if round == ROUNDS || done.out_of_memory || !too_far[0] {
+        if round == ROUNDS || done.out_of_memory || worst[0] == 0.0 {
             break (links, errors);
         }
-        for (limit, too_far) in limits.iter_mut().zip(too_far) {
-            *limit *= if too_far { 0.5 } else { 1.0 };
+        for (limit, worst) in limits.iter_mut().zip(worst).filter(|(_, worst)| *worst > 0.0) {
+            *limit *= (budget / worst).powi(2).clamp(STEPS[0], STEPS[1]);
         }
         let refined;
         (tree, refined) = links.into_parts();
