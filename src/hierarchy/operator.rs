@@ -31,7 +31,8 @@ pub struct HierarchicalOptions {
 /// What was reached.
 #[derive(Debug, Clone, Copy)]
 pub struct Reached {
-    /// Estimate of the largest row error; above the tolerance where memory ended the refinement.
+    /// Estimate of the largest row error; above the tolerance where memory ended the refinement, or what is visible of single pairs of
+    /// patches stays in doubt.
     pub error_estimate: f64,
     /// Segments cast.
     pub segments: u64,
@@ -43,11 +44,12 @@ const KERNEL_SHARE: f64 = 0.02;
 const LINK_SHARE: f64 = 0.6;
 /// A link may be wrong by this share of what its row may, at first.
 const FIRST: f64 = 0.05;
-/// Each round by between so much and so much of what it could be wrong by before: errors of rows go about as the root of it.
+/// A round multiplies the limits on links of rows that are too far off by a factor between these: the errors of rows go about as the root
+/// of the limit.
 const STEPS: [f64; 2] = [0.5, 0.7];
 /// Of the layout of products and the lists of links, and of a matrix row's candidates.
 const BYTES_A_NODE: u64 = 256;
-/// Rounds.
+/// Rounds, at most.
 const ROUNDS: usize = 24;
 
 /// A limit on what a link may be wrong by, for every node.

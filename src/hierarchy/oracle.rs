@@ -5,7 +5,8 @@
 //!   K(y, z) ~ v  sum over k, l of  S_kl psi_k(y) psi_l(z),      H(y) = sum over k, l of S_kl psi_k(y)  integral of B psi_l
 //!
 //! S_00 is the mean of K. Where both are triangles it comes from the exact exchange, G / (A_p A_q). What the fit leaves at the
-//! samples is the error of the kernel; that of visibility, where v is neither 0 nor 1, is how far V differs from its mean.
+//! samples is the error of the kernel; that of visibility is how far V differs from its mean, or may differ at places where goals ask
+//! for that, and how well the mean is known.
 //! A shaft that no convex body reaches into proves v = 1; else segments are cast.
 
 use super::functions::{MOST, Place};
@@ -20,7 +21,7 @@ use crate::scene::Scene;
 use crate::visibility::Segment;
 use crate::visibility::shaft::Shaft;
 
-/// Segments that tell at first how much is visible, and at most.
+/// Segments that tell at first how much is visible.
 pub const FIRST_SEGMENTS: u32 = 16;
 /// Nodes nearer to each other than this, radii over distance, are looked at twice: their exchange is taken exactly where it can.
 const NEAR: f64 = 0.25;
@@ -49,7 +50,7 @@ pub struct Exchange {
     pub visibility: Visibility,
     /// v.
     pub fraction: f64,
-    /// The mean of |V - v|, and the standard error of v.
+    /// The mean of |V - v|, or the largest; and the standard error of v.
     pub unevenness: f64,
     /// See above.
     pub fraction_error: f64,
@@ -80,7 +81,7 @@ pub struct Across {
     pub error: f64,
     /// How far V varies over either node: the mean of |V - v|, where V is the mean over the other.
     pub uneven: [f64; 2],
-    /// The largest |V - v| of a place, in proportion to its share of the exchange.
+    /// The largest |V - v| of a place, times its share of the exchange over the mean share.
     pub most: [f64; 2],
 }
 
@@ -113,6 +114,15 @@ impl<'a> Oracle<'a> {
         let (distance, reach) = (a.centre.distance(b.centre), a.radius + b.radius);
         let most = a.most_cosines(b);
         UNSHOWN * most * a.area * b.area / (std::f64::consts::PI * distance.max(reach).powi(2))
+    }
+
+    /// What segments may have missed of what passes, the integral of |dK|, m^2: nothing, but next to each other, where most may pass
+    /// through a gap that none of them meets. There K is nowhere above what it is across the gap between the two.
+    pub fn unmet(&self, a: &Node, b: &Node) -> f64 {
+        if a.is_apart(b) {
+            return 0.0;
+        }
+        a.most_cosines(b) * a.area * b.area / (std::f64::consts::PI * a.gap(b).powi(2))
     }
 
     /// The exchange without what stands between, as the samples show it, and S of it, appended to `matrix`: K_p rows of K_q
@@ -221,10 +231,12 @@ impl<'a> Oracle<'a> {
         for k in 0..segments {
             let mut ends = sobol.point(k);
             let mut weight = 1.0;
-            for (number, u) in nodes.into_iter().zip([0, 2]).filter(|_| by_patches) {
-                let area;
-                (ends[u], area) = tree.by_patches(number, ends[u]);
-                weight *= area;
+            if by_patches {
+                for (number, u) in nodes.into_iter().zip([0, 2]) {
+                    let of_patch;
+                    (ends[u], of_patch) = tree.over_patches(number, ends[u], segments as usize);
+                    weight *= of_patch;
+                }
             }
             let (segment, kernel) = self.segment(tree, nodes, ends);
             weight *= kernel;
@@ -260,13 +272,13 @@ impl<'a> Oracle<'a> {
         looks.iter().zip(&blocked).find(|(_, blocked)| **blocked == is_rare).map(|((_, ends), _)| *ends)
     }
 
-    /// Looks from so many places of one node to so many of another. One more of either may be given that was chosen for what it sees: it
-    /// tells only how far that is from the mean.
-    pub fn look_across(&self, tree: &Tree, nodes: [usize; 2], counts: [u32; 2], chosen: Option<Ends>) -> Across {
+    /// Looks from so many places of one node to so many of another. One more of either may be given that was chosen for the `rare` thing
+    /// that it sees: it tells only how far that is from the mean.
+    pub fn look_across(&self, tree: &Tree, nodes: [usize; 2], counts: [u32; 2], rare: Option<Ends>) -> Across {
         let [m, n] = counts.map(|count| count as usize);
         let sobol = self.sobol(nodes);
         let [starts, ends] = [(m, 0), (n, 2)].map(|(count, u)| {
-            let places = (0..count).map(|k| sobol.point(k as u32)).chain(chosen);
+            let places = (0..count).map(|k| sobol.point(k as u32)).chain(rare);
             places.map(|ends| [ends[u], ends[u + 1]]).collect::<Vec<_>>()
         });
         let (mut pairs, mut all) = (Vec::new(), Vec::new());
@@ -303,7 +315,9 @@ impl<'a> Oracle<'a> {
             (squares, differences[..count].iter().map(|d| d.abs()).sum::<f64>(), most * count as f64)
         };
         let [(of_p, over_p, most_p), (of_q, over_q, most_q)] = [of_places(&of_starts, m), of_places(&of_ends, n)];
-        Across { fraction: v, error: (of_p + of_q).sqrt(), uneven: [over_p, over_q], most: [most_p, most_q] }
+        // Laplace's rule of succession where all agree.
+        let error = if v > 0.0 && v < 1.0 { (of_p + of_q).sqrt() } else { 1.0 / ((m * n) as f64 + 2.0) };
+        Across { fraction: v, error, uneven: [over_p, over_q], most: [most_p, most_q] }
     }
 
     /// What two nodes are looked at by.

@@ -1,8 +1,10 @@
 //! Refinement: from the pair (root, root) down to links that a goal allows.
 //!
 //! A pair whose link would be wrong by more is parted at the larger of its nodes, or at that over which visibility varies; a leaf
-//! that has to be parted is cut, where it may be. Links that were allowed stay until the goal is raised (multigridding: a coarse solution tells where to
-//! refine; Hanrahan, Salzman & Aupperle 1991, section 4.3). Level by level, so that any number of threads finds the same.
+//! that has to be parted is cut, where it may be. Where each patch matters, so is a pair next to each other with something in the
+//! way, where segments tell too little. Links that were allowed stay until the goal is raised (multigridding: a coarse solution
+//! tells where to refine; Hanrahan, Salzman & Aupperle 1991, section 4.3). Level by level, so that any number of threads finds the
+//! same.
 
 use rayon::prelude::*;
 
@@ -98,7 +100,7 @@ const ACROSS: [u32; 2] = [4, 4];
 const CLEARLY: f64 = 2.0;
 /// Places again where that is a leaf that may not be cut, of it and of the other: to find its mean.
 const CLOSER: [u32; 2] = [16, 8];
-/// Segments that tell at most whether every patch of a cluster sees what all see.
+/// Segments, at most, that tell whether every patch of a cluster sees what all see: where there are more patches, so many are looked at.
 const EACH: u32 = 1024;
 /// What one pair may become on the next level.
 const PARTS: u64 = 4;
@@ -132,9 +134,11 @@ impl Refinement<'_> {
                         done.stopped += u64::from(!is_allowed);
                     } else {
                         let clear = link.exchange.visibility == Visibility::Full;
-                        // What is mixed is looked at once more, to tell which end is to be parted.
+                        // What is mixed is looked at once more, to tell which end is to be parted; what is not, where more
+                        // segments may be enough.
+                        let again = link.exchange.is_mixed() || (goal.holds_each() && !clear);
                         let larger = || by_size(tree, p, q).into_iter().find(|&k| can_part(tree, goal, k));
-                        let part = if link.exchange.is_mixed() { None } else { larger() };
+                        let part = if again { None } else { larger() };
                         frontier.push(Pair { p: link.p, q: link.q, clear, part });
                     }
                 }
@@ -220,8 +224,9 @@ fn by_size(tree: &Tree, p: usize, q: usize) -> [usize; 2] {
     if tree.nodes[p].radius >= tree.nodes[q].radius { [p, q] } else { [q, p] }
 }
 
-/// Looks how much is visible. Where a link has to be right for each patch of a cluster, all of them are looked at until two segments
-/// differ, and then it may be as wrong as it is for a patch that sees all or nothing.
+/// Looks how much is visible. Where a link has to be right for each patch of a cluster, all of them are looked at, up to [`EACH`], and
+/// more segments are cast as long as what may have been missed is too much. Once two differ, the link may be as wrong as it is for a
+/// patch that sees all or nothing.
 ///
 /// Returns segments, and the ends of one that sees what few others see, where each patch matters.
 fn look_between(
@@ -232,14 +237,14 @@ fn look_between(
     exchange: &mut Exchange,
 ) -> (u64, Option<Ends>) {
     let [p, q] = nodes;
-    // Where memory has run out, clusters are looked at like those that are going to be parted.
+    // Also where memory has run out and nothing is parted: the error is to be told.
     let is_final = is_final(tree, goal, p, q);
     let by_patches = !is_final && goal.holds_each();
     let patches = nodes.map(|k| tree.nodes[k].patches.len() as u32);
-    let most = match (is_final, by_patches) {
-        (true, _) => goal.most_segments(),
-        (false, true) => patches[0].max(patches[1]).clamp(FIRST_SEGMENTS, EACH).next_power_of_two(),
-        (false, false) => FIRST_SEGMENTS,
+    let [least, most] = match (is_final, by_patches) {
+        (true, _) => [FIRST_SEGMENTS, goal.most_segments()],
+        (false, true) => [patches[0].max(patches[1]).min(EACH), EACH],
+        (false, false) => [FIRST_SEGMENTS; 2],
     };
     if most == 0 {
         exchange.visibility = Visibility::Partial;
@@ -253,11 +258,11 @@ fn look_between(
             exchange.unevenness = exchange.fraction.max(1.0 - exchange.fraction);
             return (looked, Some(rare));
         }
-        let in_doubt = if by_patches { 1.0 } else { exchange.fraction_error };
-        if segments >= most || goal.allows(p, q, exchange.unoccluded * in_doubt) {
+        let is_enough = segments >= least && goal.allows(p, q, exchange.unoccluded * exchange.fraction_error);
+        if segments >= most || is_enough {
             return (looked, None);
         }
-        segments = (4 * segments).min(most);
+        segments *= 4;
     }
 }
 
@@ -337,16 +342,16 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
         out.found.matrices.truncate(at);
         return part(pair.clear, number, out);
     }
+    let clear = pair.clear || oracle.is_clear(tree, p, q);
+    let is_looked_through = clear || !goal.holds_each();
+    if let Some(number) = to_part.filter(|_| !is_looked_through && !goal.allows(p, q, oracle.unmet(a, b))) {
+        out.found.matrices.truncate(at);
+        return part(clear, number, out);
+    }
     if !oracle.make_exact(a, b, &mut exchange, &mut out.found.matrices[at..]) {
         return out.found.matrices.truncate(at);
     }
-    let clear = pair.clear || oracle.is_clear(tree, p, q);
     if !clear {
-        if let Some(number) = to_part.filter(|_| goal.holds_each() && !a.is_apart(b)) {
-            // A patch next to the other may see most of what it sees through a gap that no segment meets.
-            out.found.matrices.truncate(at);
-            return part(clear, number, out);
-        }
         let (looked, rare) = look_between(oracle, tree, goal, larger, &mut exchange);
         out.done.segments += looked;
         if to_part.is_some() && exchange.is_mixed() && !goal.allows(p, q, exchange.error()) {

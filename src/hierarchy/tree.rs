@@ -99,6 +99,12 @@ impl Node {
         }
     }
 
+    /// The distance of boxes around the two, along the axes.
+    pub fn gap(&self, other: &Node) -> f64 {
+        let [(low, high), (other_low, other_high)] = [self, other].map(|node| extremes(node.hull.iter().copied()));
+        (low - other_high).max(other_low - high).max(Vec3::ZERO).length()
+    }
+
     /// Whether spheres around the two do not meet.
     pub fn is_apart(&self, other: &Node) -> bool {
         self.radius + other.radius < self.centre.distance(other.centre)
@@ -119,10 +125,10 @@ impl Node {
     /// The least and the largest angle between a normal of this and a direction to `other`; `None` where their spheres meet.
     fn angles(&self, other: &Node) -> Option<[f64; 2]> {
         let way = other.centre - self.centre;
-        let (distance, reach) = (way.length(), self.radius + other.radius);
-        if distance <= reach {
+        if !self.is_apart(other) {
             return None;
         }
+        let (distance, reach) = (way.length(), self.radius + other.radius);
         let angle = (self.axis.dot(way) / distance).clamp(-1.0, 1.0).acos();
         let spread = self.spread + (reach / distance).asin();
         Some([angle - spread, angle + spread])
@@ -388,20 +394,29 @@ impl Tree {
         (point_in_triangle(&scene.triangle(patch as usize), rest, v), scene.normals()[patch as usize], patch)
     }
 
-    /// The first number of [`Self::point`] that belongs to one in [0, 1), so that as many go to each patch as to any other; and the
-    /// area of the patch, relative to the mean.
-    pub fn by_patches(&self, number: usize, u: f64) -> (f64, f64) {
+    /// For one of `count` numbers u in [0, 1), of which each interval of 1 / count holds one: a first number for [`Self::point`] by which
+    /// patches are met as often as each other, none is left out that may not be, and the weight that makes up for that in means over the
+    /// area.
+    pub fn over_patches(&self, number: usize, u: f64, count: usize) -> (f64, f64) {
         let node = &self.nodes[number];
         if node.is_element() {
             return (u, 1.0);
         }
         let bounds = &self.areas[node.patches.start as usize..=node.patches.end as usize];
-        let count = bounds.len() - 1;
-        let whole = bounds[count] - bounds[0];
-        let at = u * count as f64;
-        let k = (at as usize).min(count - 1);
-        let area = bounds[k + 1] - bounds[k];
-        ((bounds[k] - bounds[0] + (at - k as f64) * area) / whole, area * count as f64 / whole)
+        let patches = bounds.len() - 1;
+        let (k, rest, times) = if patches <= count {
+            // The intervals go to the patches in their order.
+            let interval = ((u * count as f64) as usize).min(count - 1);
+            let k = interval * patches / count;
+            let first = |k: usize| (k * count).div_ceil(patches);
+            (k, u * count as f64 - interval as f64, first(k + 1) - first(k))
+        } else {
+            let at = u * patches as f64;
+            let k = (at as usize).min(patches - 1);
+            (k, at - k as f64, 1)
+        };
+        let (area, whole) = (bounds[k + 1] - bounds[k], bounds[patches] - bounds[0]);
+        ((bounds[k] - bounds[0] + rest * area) / whole, area / (times as f64 * whole))
     }
 
     /// Whether all patches of a node lie before a plane, or stand out of it by no more than `slack`. Where corners of boxes lie behind

@@ -132,7 +132,7 @@ fn rows_are_within_the_tolerance_and_symmetric() {
 
 #[test]
 fn a_row_is_right_that_sees_what_no_other_of_its_cluster_sees() {
-    // Two slabs hide the floor of a room but for one square in a corner, which sees nothing else than what is closed around it.
+    // Two slabs hide the floor of a room but for one square in a corner, from where a shaft leads up. All around is closed.
     let k = 24;
     let square = 1.0 / k as f64;
     let (low, high) = (vec3(-0.1, -0.1, -0.1), vec3(1.1, 1.1, 0.1));
