@@ -93,6 +93,7 @@ pub struct Oracle<'a> {
     scene: &'a Scene,
     blockers: &'a Blockers,
     accuracy: Accuracy,
+    holds_each: bool,
     seed: u64,
     batch: Batch,
     values: Vec<f64>,
@@ -100,29 +101,40 @@ pub struct Oracle<'a> {
 }
 
 impl<'a> Oracle<'a> {
-    /// For a scene with its blockers; the exact exchange is taken to `accuracy`.
-    pub fn new(scene: &'a Scene, blockers: &'a Blockers, accuracy: Accuracy, seed: u64) -> Oracle<'a> {
-        Oracle { scene, blockers, accuracy, seed, batch: Batch::new(), values: Vec::new(), half: Vec::new() }
+    /// For a scene with its blockers; the exact exchange is taken to `accuracy`; what `holds_each` has to be right for every patch, and
+    /// else in the mean.
+    pub fn new(
+        scene: &'a Scene,
+        blockers: &'a Blockers,
+        accuracy: Accuracy,
+        holds_each: bool,
+        seed: u64,
+    ) -> Oracle<'a> {
+        Oracle {
+            scene,
+            blockers,
+            accuracy,
+            holds_each,
+            seed,
+            batch: Batch::new(),
+            values: Vec::new(),
+            half: Vec::new(),
+        }
     }
 
-    /// What samples may have missed of the kernel, the integral of |dK|, m^2: nothing, but next to each other, or across the other's
-    /// horizon.
+    /// What samples and segments may have missed, the integral of |dK|, m^2: nothing, but next to each other, or across the other's
+    /// horizon. Where each patch matters, it is a share of the most that one may exchange: places of a large node show little
+    /// of what is next to a small one.
     pub fn unseen(&self, a: &Node, b: &Node) -> f64 {
-        if a.is_apart(b) && a.faces(b) && b.faces(a) {
-            return 0.0;
-        }
         let (distance, reach) = (a.centre.distance(b.centre), a.radius + b.radius);
-        let most = a.most_cosines(b);
-        UNSHOWN * most * a.area * b.area / (std::f64::consts::PI * distance.max(reach).powi(2))
-    }
-
-    /// What segments may have missed of what passes, the integral of |dK|, m^2: nothing, but next to each other, where most may pass
-    /// through a gap that none of them meets. There K is nowhere above what it is across the gap between the two.
-    pub fn unmet(&self, a: &Node, b: &Node) -> f64 {
-        if a.is_apart(b) {
+        let is_apart = reach < distance;
+        if self.holds_each && !(is_apart && a.gap(b) + 2.0 * a.radius.min(b.radius) >= a.radius.max(b.radius)) {
+            return UNSHOWN * a.most_exchange(b);
+        }
+        if is_apart && a.faces(b) && b.faces(a) {
             return 0.0;
         }
-        a.most_cosines(b) * a.area * b.area / (std::f64::consts::PI * a.gap(b).powi(2))
+        UNSHOWN * a.most_cosines(b) * a.area * b.area / (std::f64::consts::PI * distance.max(reach).powi(2))
     }
 
     /// The exchange without what stands between, as the samples show it, and S of it, appended to `matrix`: K_p rows of K_q

@@ -119,6 +119,7 @@ impl Refinement<'_> {
         done: &mut Done,
         progress: &Progress,
     ) -> Result<Found> {
+        let holds_each = goal.holds_each();
         let mut kept = Found::default();
         done.stopped = 0;
         let mut frontier = match found {
@@ -156,7 +157,7 @@ impl Refinement<'_> {
             let parts: Result<Vec<Part>> = frontier
                 .par_chunks(TOGETHER)
                 .map_init(
-                    || Oracle::new(self.scene, self.blockers, self.accuracy, self.seed),
+                    || Oracle::new(self.scene, self.blockers, self.accuracy, holds_each, self.seed),
                     |oracle, pairs| {
                         progress.advance(pairs.len() as u64)?;
                         let mut part = Part::default();
@@ -342,15 +343,10 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
         out.found.matrices.truncate(at);
         return part(pair.clear, number, out);
     }
-    let clear = pair.clear || oracle.is_clear(tree, p, q);
-    let is_looked_through = clear || !goal.holds_each();
-    if let Some(number) = to_part.filter(|_| !is_looked_through && !goal.allows(p, q, oracle.unmet(a, b))) {
-        out.found.matrices.truncate(at);
-        return part(clear, number, out);
-    }
     if !oracle.make_exact(a, b, &mut exchange, &mut out.found.matrices[at..]) {
         return out.found.matrices.truncate(at);
     }
+    let clear = pair.clear || oracle.is_clear(tree, p, q);
     if !clear {
         let (looked, rare) = look_between(oracle, tree, goal, larger, &mut exchange);
         out.done.segments += looked;

@@ -6,6 +6,7 @@
 //! since it is flat and cannot see itself. Parents have lower numbers than their children.
 
 use std::collections::HashMap;
+use std::f64::consts::{FRAC_PI_2, PI};
 use std::ops::Range;
 
 use super::clusters::{Draft, NONE, SAME, drafts};
@@ -87,7 +88,7 @@ impl Node {
     pub fn faces_away(&self, other: &Node) -> bool {
         match &self.plane {
             Some(plane) => other.hull.iter().all(|x| plane.distance(*x) <= self.slack(other)),
-            None => self.angles(other).is_some_and(|[least, _]| least >= std::f64::consts::FRAC_PI_2),
+            None => self.angles(other).is_some_and(|[least, _]| least >= FRAC_PI_2),
         }
     }
 
@@ -95,26 +96,34 @@ impl Node {
     pub fn faces(&self, other: &Node) -> bool {
         match &self.plane {
             Some(plane) => other.hull.iter().all(|x| plane.distance(*x) >= -self.slack(other)),
-            None => self.angles(other).is_some_and(|[_, most]| most <= std::f64::consts::FRAC_PI_2),
+            None => self.angles(other).is_some_and(|[_, most]| most <= FRAC_PI_2),
         }
+    }
+
+    /// The most that cos_x cos_y may be between a place x of this and y of `other`: their sum is (n_x - n_y) . w, w the direction from x
+    /// to y, so that neither the sum is above |n_x - n_y| nor the product above sin^2 of half the angle between the normals.
+    pub fn most_cosines(&self, other: &Node) -> f64 {
+        (0.5 * self.between_normals(other)).sin().powi(2)
+    }
+
+    /// The most that A F may be of a patch of either and all of the other, in proportion to the area of its node, m^2: what the gap
+    /// between them and their normals allow. From where a normal is by no more than phi off all of the other's, these are within
+    /// phi of the horizon, which is sin^2 phi of all that can be seen.
+    pub fn most_exchange(&self, other: &Node) -> f64 {
+        let across = self.most_cosines(other) * self.area * other.area / (PI * self.gap(other).powi(2));
+        let of_all = self.between_normals(other).min(FRAC_PI_2).sin().powi(2) * self.area.min(other.area);
+        of_all.min(across)
+    }
+
+    /// The largest angle between a normal of this and one of `other`.
+    fn between_normals(&self, other: &Node) -> f64 {
+        (self.axis.dot(other.axis).clamp(-1.0, 1.0).acos() + self.spread + other.spread).min(PI)
     }
 
     /// The distance of boxes around the two, along the axes.
     pub fn gap(&self, other: &Node) -> f64 {
         let [(low, high), (other_low, other_high)] = [self, other].map(|node| extremes(node.hull.iter().copied()));
         (low - other_high).max(other_low - high).max(Vec3::ZERO).length()
-    }
-
-    /// Whether spheres around the two do not meet.
-    pub fn is_apart(&self, other: &Node) -> bool {
-        self.radius + other.radius < self.centre.distance(other.centre)
-    }
-
-    /// The most that cos_x cos_y may be between a place x of this and y of `other`: their sum is (n_x - n_y) . w, w the direction from x
-    /// to y, so that neither the sum is above |n_x - n_y| nor the product above sin^2 of half the angle between the normals.
-    pub fn most_cosines(&self, other: &Node) -> f64 {
-        let angle = self.axis.dot(other.axis).clamp(-1.0, 1.0).acos() + self.spread + other.spread;
-        (0.5 * angle.min(std::f64::consts::PI)).sin().powi(2)
     }
 
     /// A length that counts as none beside the two.
@@ -125,10 +134,10 @@ impl Node {
     /// The least and the largest angle between a normal of this and a direction to `other`; `None` where their spheres meet.
     fn angles(&self, other: &Node) -> Option<[f64; 2]> {
         let way = other.centre - self.centre;
-        if !self.is_apart(other) {
+        let (distance, reach) = (way.length(), self.radius + other.radius);
+        if distance <= reach {
             return None;
         }
-        let (distance, reach) = (way.length(), self.radius + other.radius);
         let angle = (self.axis.dot(way) / distance).clamp(-1.0, 1.0).acos();
         let spread = self.spread + (reach / distance).asin();
         Some([angle - spread, angle + spread])
@@ -256,7 +265,7 @@ impl Tree {
         let (middle, normal) = (Vec3::new(x, y, z), Vec3::new(u, v, w));
         let axis = normal.normalize_or(Vec3::Z);
         let spread = children().map(|child| axis.dot(child.axis).clamp(-1.0, 1.0).acos() + child.spread);
-        let spread = spread.fold(0.0, f64::max).min(std::f64::consts::PI);
+        let spread = spread.fold(0.0, f64::max).min(PI);
         let first = children().next().and_then(|child| child.plane);
         let size = children().map(|child| child.radius + child.centre.distance(middle)).fold(0.0, f64::max);
         let is_in = |plane: &Plane, child: &Node| {
