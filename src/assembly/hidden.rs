@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::error::Result;
 use crate::form_factor::Patch;
 use crate::form_factor::occluded::{End, VisibleFraction, visible_fraction};
-use crate::form_factor::shadow::{Shadows, Visible};
+use crate::form_factor::shadow::{SHOWN, Shadows, Visible};
 use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::visibility::Bvh;
@@ -133,7 +133,8 @@ pub(super) fn improve(
         let segments = needed.clamp(f64::from(PILOT), f64::from(MOST_SEGMENTS)).ceil() as u32;
         let end = |k: u32, p: &Patch| End { patch: k, triangle: p.corners, normal: p.normal };
         let v = visible_fraction(&blockers.tree, &end(c.i, a), &end(c.j, b), segments, seed);
-        let error = error_to_count_with(&v);
+        let error = error_to_count_with(&v)
+            + unshown(&v, segments, c.exchange / (a.area * b.area)) * v.value.max(1.0 - v.value);
         // Shadows may have known better before they gave up.
         if c.segments > 0 || error <= c.error {
             (c.visible, c.error) = (v.value, error);
@@ -162,6 +163,14 @@ fn error_to_count_with(v: &VisibleFraction) -> f64 {
     (0.5 * (v.standard_error * v.standard_error + usual)).sqrt()
 }
 
+/// The share of the exchange, whose mean K is `kernel`, that m segments do not show, where that is more than a tenth above what is to be
+/// expected of random ones, (1 / effective - 1 / m)^(1/2): it passes next to where the patches come near to each other, and
+/// nothing is known of it.
+fn unshown(v: &VisibleFraction, segments: u32, kernel: f64) -> f64 {
+    let usual = (1.0 / v.effective - 1.0 / f64::from(segments)).max(0.0).sqrt();
+    (1.0 - v.kernel / kernel - usual - SHOWN).max(0.0)
+}
+
 /// The visible fraction from shadows, where few bodies can stand between and the patches are outside of all.
 fn visible_by_shadows(
     shadows: &mut Shadows,
@@ -179,7 +188,7 @@ fn visible_by_shadows(
         return Some(Visible { fraction: 0.0, error: 0.0 });
     }
     let between = bodies.in_shaft(&Shaft::new(&a.corners, &b.corners), [c.i, c.j], MOST_BODIES)?;
-    shadows.visible(a, b, &between, c.wanted)
+    shadows.visible(a, b, &between, c.exchange, c.wanted)
 }
 
 /// For every row the sum over its candidates of the error of F_ij.

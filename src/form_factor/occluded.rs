@@ -29,6 +29,9 @@ pub struct VisibleFraction {
     /// As many segments of equal weight would tell as much: (sum w)^2 / sum w^2 (Kish 1965). Where patches touch, few segments
     /// next to the common edge carry most of the weight.
     pub effective: f64,
+    /// Mean of K over the segments, 1/m^2: times both areas, how much of the exchange they show. Where patches come near to each other
+    /// in a small part of them, that part may be missed.
+    pub kernel: f64,
 }
 
 /// A patch as this estimate needs it.
@@ -81,7 +84,7 @@ pub fn visible_fraction(blockers: &Bvh, a: &End, b: &End, segments: u32, seed: u
     let (seen, all) = replicates.iter().fold((0.0, 0.0), |(s, a), (seen, all)| (s + seen, a + all));
     if all == 0.0 {
         // No sampled point of one patch lies before the other: nothing was learnt, and the exchange is next to nothing.
-        return VisibleFraction { value: 0.5, standard_error: 0.5, effective: 0.0 };
+        return VisibleFraction { value: 0.5, standard_error: 0.5, effective: 0.0, kernel: 0.0 };
     }
     let value = seen / all;
     let n = f64::from(REPLICATES);
@@ -90,5 +93,6 @@ pub fn visible_fraction(blockers: &Bvh, a: &End, b: &End, segments: u32, seed: u
         value,
         standard_error: (n / (n - 1.0) * squares).sqrt() / all,
         effective: all * all / all_squares,
+        kernel: all * first_weight / f64::from(REPLICATES * each),
     }
 }

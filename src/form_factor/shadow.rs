@@ -65,6 +65,9 @@ const MOST_EDGES: usize = 512;
 const FLAT: f64 = 1e-11;
 /// How far outside of [0, 1] rounding may put a visible fraction: the terms of a small patch far away cancel by so many digits.
 const ROUNDING: f64 = 1e-6;
+/// Share of the exchange that the points of a rule, or segments, may have wrong without any harm to what is visible of it. Where a small patch is
+/// next to a large one, they may miss most of it: nothing is known of that.
+pub const SHOWN: f64 = 0.1;
 /// What may hide in a triangle of which every point sees all, or nothing: between the points near its border, or beyond.
 const UNSEEN: f64 = 1e-2;
 
@@ -180,10 +183,10 @@ impl Default for Shadows {
 }
 
 impl Shadows {
-    /// What `bodies` leave of the exchange of two patches, to an error of `wanted` as far as [`MOST_CELLS`] triangles
+    /// What `bodies` leave of the `exchange` of two patches, m^2, to an error of `wanted` as far as [`MOST_CELLS`] triangles
     /// allow. No point of the patches may lie inside a body. `None` when the bodies have too many edges, too many shadows
-    /// overlap, or rounding is in the way.
-    pub fn visible(&mut self, a: &Patch, b: &Patch, bodies: &[&Body], wanted: f64) -> Option<Visible> {
+    /// overlap, the triangles do not show the exchange, or rounding is in the way.
+    pub fn visible(&mut self, a: &Patch, b: &Patch, bodies: &[&Body], exchange: f64, wanted: f64) -> Option<Visible> {
         let all = Some(Visible { fraction: 1.0, error: 0.0 });
         if bodies.iter().map(|body| body.edges.len()).sum::<usize>() > MOST_EDGES {
             return None;
@@ -215,7 +218,8 @@ impl Shadows {
             return all;
         }
         let mut error: f64 = cells.iter().map(|cell| cell.error).sum();
-        while error / total > wanted && cells.len() < MOST_CELLS {
+        let unshown = |total: f64| ((1.0 - total / exchange).abs() - SHOWN).max(0.0);
+        while error / total + unshown(total) > wanted && cells.len() < MOST_CELLS {
             let Some(worst) = cells.pop() else { break };
             let [p, q, r] = worst.triangle;
             let [pq, qr, rp] = [0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + p)];
@@ -230,7 +234,11 @@ impl Shadows {
         }
         let cells = cells.into_vec();
         let (hidden, all) = cells.iter().fold((0.0, 0.0), |(hidden, all), c| (hidden + c.hidden, all + c.all));
-        let (sum, error) = (1.0 - hidden / all, (error / total).max(0.0));
+        let (sum, error) = (1.0 - hidden / all, (error / total).max(0.0) + unshown(total));
+        // Points do not come near enough to what is next to each other.
+        if cells.len() >= MOST_CELLS && unshown(total) > 0.0 {
+            return None;
+        }
         let fraction = sum.clamp(0.0, 1.0);
         // What is outside by more than rounding has lost a part of a border.
         let outside = (sum - fraction).abs();

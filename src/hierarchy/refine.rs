@@ -1,8 +1,8 @@
 //! Refinement: from the pair (root, root) down to links that a goal allows.
 //!
 //! A pair whose link would be wrong by more is parted at the larger of its nodes, or at that over which visibility varies; a leaf
-//! that has to be parted is cut, where it may be. Where each patch matters, so is a pair next to each other with something in the
-//! way, where segments tell too little. Links that were allowed stay until the goal is raised (multigridding: a coarse solution
+//! that has to be parted is cut, where it may be. Where each patch matters, so is a pair next to each other, of which
+//! samples tell too little. Links that were allowed stay until the goal is raised (multigridding: a coarse solution
 //! tells where to refine; Hanrahan, Salzman & Aupperle 1991, section 4.3). Level by level, so that any number of threads finds the
 //! same.
 

@@ -74,7 +74,8 @@ fn shadows_leave_what_segments_reach() {
         let (mut partly, mut bias) = (0.0, 0.0);
         for i in 0..scene.len() {
             for j in 0..i {
-                if batch.exchange(&patches[i].shape(), &patches[j].shape(), &accuracy) <= 0.0 {
+                let exchange = batch.exchange(&patches[i].shape(), &patches[j].shape(), &accuracy);
+                if exchange <= 0.0 {
                     continue;
                 }
                 let shaft = Shaft::new(&patches[i].corners, &patches[j].corners);
@@ -85,7 +86,7 @@ fn shadows_leave_what_segments_reach() {
                     // Next to no segment lies before the planes of both.
                     continue;
                 }
-                let Some(seen) = shadows.visible(&patches[i], &patches[j], &in_shaft, 1e-3) else { continue };
+                let Some(seen) = shadows.visible(&patches[i], &patches[j], &in_shaft, exchange, 1e-3) else { continue };
                 let v = seen.fraction;
                 // Random segments would have this standard error, quasi-random ones have less; of some thousand pairs none
                 // is five of them off. What hides in a corner may be missed by all.
@@ -191,11 +192,12 @@ fn bodies_of_many_edges_are_left_to_segments() {
         let scene = cube(1).and(&ball(level)).scene();
         let bodies = Bodies::of_scene(&scene);
         let [a, b] = [0, 3].map(|i| Patch::new(scene.triangle(i)));
+        let exchange = Batch::new().exchange(&a.shape(), &b.shape(), &Accuracy::new(1e-3).unwrap());
         let solids: Vec<_> = bodies.bodies.iter().collect();
         // 480 edges, and 1920.
         assert_eq!(solids.len(), 1);
         assert_eq!(
-            Shadows::default().visible(&a, &b, &solids, 1e-2).is_some(),
+            Shadows::default().visible(&a, &b, &solids, exchange, 1e-2).is_some(),
             known,
             "{} edges",
             solids[0].edges.len()
