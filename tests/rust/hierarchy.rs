@@ -25,7 +25,14 @@ fn scenes() -> Vec<(&'static str, Scene)> {
         ("sphere", icosphere(2).reversed().scene()),
         ("box in a box", box_in_box(4).scene()),
         ("stack", stack_in_box(1).scene()),
+        ("next to walls", next_to_walls().scene()),
     ]
+}
+
+/// A room of large patches with boxes of small ones, almost at its ceiling and at a wall.
+fn next_to_walls() -> Mesh {
+    let boxes = [[vec3(0.3, 0.35, 0.9), vec3(0.55, 0.6, 0.996)], [vec3(0.6, 0.1, 0.3), vec3(0.99, 0.4, 0.5)]];
+    boxes.into_iter().fold(cube(2), |mesh, [low, high]| mesh.and(&box_from(low, high, 4).reversed()))
 }
 
 /// A scene of one band with this reflectance everywhere.

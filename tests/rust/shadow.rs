@@ -123,6 +123,20 @@ fn every_row_is_within_its_tolerance_of_converged_factors() {
 }
 
 #[test]
+fn what_passes_next_to_a_large_patch_is_not_missed() {
+    // A box of small patches, just before a wall, that reaches through the ceiling.
+    let scene = cube(2).and(&box_from(vec3(0.7, 0.4, 0.75), vec3(0.992, 0.6, 1.2), 7).reversed()).scene();
+    let converged = table(&dense(&scene, 2e-3, 0));
+    for tolerance in [1e-1, 3e-2] {
+        let f = dense(&scene, tolerance, 0);
+        let errors = table(&f).iter().zip(&converged).map(|(a, b)| (a - b).abs()).collect::<Vec<_>>();
+        let worst = errors.chunks(scene.len()).map(|row| row.iter().sum::<f64>()).fold(0.0, f64::max);
+        // The converged factors are off themselves.
+        assert!(worst <= tolerance + 2e-3, "{worst} at {tolerance}");
+    }
+}
+
+#[test]
 fn far_from_the_origin_shadows_are_the_same() {
     const TOLERANCE: f64 = 1e-3;
     let inner = box_from(Vec3::splat(-10.0), Vec3::splat(10.0), 1).reversed();
