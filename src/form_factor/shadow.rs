@@ -65,8 +65,8 @@ const MOST_EDGES: usize = 512;
 const FLAT: f64 = 1e-11;
 /// How far outside of [0, 1] rounding may put a visible fraction: the terms of a small patch far away cancel by so many digits.
 const ROUNDING: f64 = 1e-6;
-/// Share of the exchange that the points of a rule, or segments, may have wrong without any harm to what is visible of it. Where a small patch is
-/// next to a large one, they may miss most of it: nothing is known of that.
+/// Share of the exchange that the points of a rule, or segments, may have wrong without any harm to what is visible of it. Where a
+/// small patch is next to a large one, they may miss most of it: nothing is known of that.
 pub const SHOWN: f64 = 0.1;
 /// What may hide in a triangle of which every point sees all, or nothing: between the points near its border, or beyond.
 const UNSEEN: f64 = 1e-2;
@@ -218,8 +218,11 @@ impl Shadows {
             return all;
         }
         let mut error: f64 = cells.iter().map(|cell| cell.error).sum();
-        let unshown = |total: f64| ((1.0 - total / exchange).abs() - SHOWN).max(0.0);
-        while error / total + unshown(total) > wanted && cells.len() < MOST_CELLS {
+        // What is proven needs no more to be shown of it.
+        let unshown = |total: f64, error: f64| {
+            if error > 0.0 { ((1.0 - total / exchange).abs() - SHOWN).clamp(0.0, 1.0) } else { 0.0 }
+        };
+        while error / total + unshown(total, error) > wanted && cells.len() < MOST_CELLS {
             let Some(worst) = cells.pop() else { break };
             let [p, q, r] = worst.triangle;
             let [pq, qr, rp] = [0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + p)];
@@ -234,15 +237,16 @@ impl Shadows {
         }
         let cells = cells.into_vec();
         let (hidden, all) = cells.iter().fold((0.0, 0.0), |(hidden, all), c| (hidden + c.hidden, all + c.all));
-        let (sum, error) = (1.0 - hidden / all, (error / total).max(0.0) + unshown(total));
-        // Points do not come near enough to what is next to each other.
-        if cells.len() >= MOST_CELLS && unshown(total) > 0.0 {
+        let (sum, error) = (1.0 - hidden / all, (error / total).max(0.0));
+        let unshown = unshown(total, error);
+        if cells.len() >= MOST_CELLS && unshown > 0.0 {
             return None;
         }
         let fraction = sum.clamp(0.0, 1.0);
         // What is outside by more than rounding has lost a part of a border.
         let outside = (sum - fraction).abs();
-        (outside <= error.max(ROUNDING)).then(|| Visible { fraction, error: error.max(outside) })
+        (outside <= error.max(ROUNDING))
+            .then(|| Visible { fraction, error: error.max(outside) + unshown * fraction.max(1.0 - fraction) })
     }
 
     /// Whether a body hides all of the target from all of the source. The points from which one point is hidden make a convex

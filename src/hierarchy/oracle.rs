@@ -50,7 +50,7 @@ pub struct Exchange {
     pub visibility: Visibility,
     /// v.
     pub fraction: f64,
-    /// The mean of |V - v|, or the largest; and the standard error of v.
+    /// The mean of |V - v|, or the largest where each patch matters; and the standard error of v.
     pub unevenness: f64,
     /// See above.
     pub fraction_error: f64,
@@ -101,7 +101,7 @@ pub struct Oracle<'a> {
 }
 
 impl<'a> Oracle<'a> {
-    /// For a scene with its blockers; the exact exchange is taken to `accuracy`; what `holds_each` has to be right for every patch, and
+    /// For a scene with its blockers; the exact exchange is taken to `accuracy`. With `holds_each` links have to be right for every patch,
     /// else in the mean.
     pub fn new(
         scene: &'a Scene,
@@ -123,7 +123,7 @@ impl<'a> Oracle<'a> {
     }
 
     /// What samples and segments may have missed, the integral of |dK|, m^2: nothing, but next to each other, or across the other's
-    /// horizon. Where each patch matters, it is a share of the most that one may exchange: places of a large node show little
+    /// horizon. Where each patch matters, it is a share of the most that a patch may exchange: places of a large node show little
     /// of what is next to a small one.
     pub fn unseen(&self, a: &Node, b: &Node) -> f64 {
         let (distance, reach) = (a.centre.distance(b.centre), a.radius + b.radius);

@@ -137,7 +137,7 @@ impl Refinement<'_> {
                         let clear = link.exchange.visibility == Visibility::Full;
                         // What is mixed is looked at once more, to tell which end is to be parted; what is not, where more
                         // segments may be enough.
-                        let again = link.exchange.is_mixed() || (goal.holds_each() && !clear);
+                        let again = link.exchange.is_mixed() || (holds_each && !clear);
                         let larger = || by_size(tree, p, q).into_iter().find(|&k| can_part(tree, goal, k));
                         let part = if again { None } else { larger() };
                         frontier.push(Pair { p: link.p, q: link.q, clear, part });
@@ -225,8 +225,8 @@ fn by_size(tree: &Tree, p: usize, q: usize) -> [usize; 2] {
     if tree.nodes[p].radius >= tree.nodes[q].radius { [p, q] } else { [q, p] }
 }
 
-/// Looks how much is visible. Where a link has to be right for each patch of a cluster, all of them are looked at, up to [`EACH`], and
-/// more segments are cast as long as what may have been missed is too much. Once two differ, the link may be as wrong as it is for a
+/// Looks how much is visible. Where a link has to be right for each patch of a cluster, all of them are looked at, or [`EACH`] of them,
+/// and more segments are cast as long as what may have been missed is too much. Once two differ, the link may be as wrong as it is for a
 /// patch that sees all or nothing.
 ///
 /// Returns segments, and the ends of one that sees what few others see, where each patch matters.
@@ -244,7 +244,11 @@ fn look_between(
     let patches = nodes.map(|k| tree.nodes[k].patches.len() as u32);
     let [least, most] = match (is_final, by_patches) {
         (true, _) => [FIRST_SEGMENTS, goal.most_segments()],
-        (false, true) => [patches[0].max(patches[1]).min(EACH), EACH],
+        (false, true) => {
+            let least = patches[0].max(patches[1]).min(EACH);
+            let can_be_enough = goal.allows(p, q, exchange.unoccluded / f64::from(EACH));
+            [least, if can_be_enough { EACH } else { least }]
+        }
         (false, false) => [FIRST_SEGMENTS; 2],
     };
     if most == 0 {
@@ -356,7 +360,7 @@ fn look(oracle: &mut Oracle, tree: &Tree, goal: &impl Goal, pair: Pair, accept: 
             to_part = Some(number);
         }
     }
-    if accept && larger.into_iter().any(can) && oracle.unseen(a, b) > 0.0 {
+    if accept && larger.into_iter().any(can) && !goal.allows(p, q, oracle.unseen(a, b)) {
         // Of nodes that should have been parted, all that they can exchange is in doubt.
         exchange.kernel_error = exchange.kernel_error.max(a.area.min(b.area));
     }

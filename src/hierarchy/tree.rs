@@ -106,7 +106,7 @@ impl Node {
         (0.5 * self.between_normals(other)).sin().powi(2)
     }
 
-    /// The most that A F may be of a patch of either and all of the other, in proportion to the area of its node, m^2: what the gap
+    /// The most that A F may be of a patch of the smaller and all of the other, in proportion to the area of its node, m^2: what the gap
     /// between them and their normals allow. From where a normal is by no more than phi off all of the other's, these are within
     /// phi of the horizon, which is sin^2 phi of all that can be seen.
     pub fn most_exchange(&self, other: &Node) -> f64 {
@@ -120,7 +120,7 @@ impl Node {
         (self.axis.dot(other.axis).clamp(-1.0, 1.0).acos() + self.spread + other.spread).min(PI)
     }
 
-    /// The distance of boxes around the two, along the axes.
+    /// No more than the distance of the two: that of boxes around them, along the axes.
     pub fn gap(&self, other: &Node) -> f64 {
         let [(low, high), (other_low, other_high)] = [self, other].map(|node| extremes(node.hull.iter().copied()));
         (low - other_high).max(other_low - high).max(Vec3::ZERO).length()
@@ -403,9 +403,9 @@ impl Tree {
         (point_in_triangle(&scene.triangle(patch as usize), rest, v), scene.normals()[patch as usize], patch)
     }
 
-    /// For one of `count` numbers u in [0, 1), of which each interval of 1 / count holds one: a first number for [`Self::point`] by which
-    /// patches are met as often as each other, none is left out that may not be, and the weight that makes up for that in means over the
-    /// area.
+    /// For one of `count` numbers u in [0, 1), of which each interval of 1 / count holds one: a first number for [`Self::point`], by which
+    /// patches are met as often as each other and none is left out where there are enough; and its weight in means over the area,
+    /// up to a factor.
     pub fn over_patches(&self, number: usize, u: f64, count: usize) -> (f64, f64) {
         let node = &self.nodes[number];
         if node.is_element() {
@@ -418,7 +418,8 @@ impl Tree {
             let interval = ((u * count as f64) as usize).min(count - 1);
             let k = interval * patches / count;
             let first = |k: usize| (k * count).div_ceil(patches);
-            (k, u * count as f64 - interval as f64, first(k + 1) - first(k))
+            let times = first(k + 1) - first(k);
+            (k, (u * count as f64 - first(k) as f64) / times as f64, times)
         } else {
             let at = u * patches as f64;
             let k = (at as usize).min(patches - 1);
