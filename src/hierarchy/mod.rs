@@ -4,7 +4,8 @@
 //! two nodes of that tree are linked where a single link between them is good enough (Hanrahan, Salzman & Aupperle, "A
 //! Rapid Hierarchical Radiosity Algorithm", SIGGRAPH 1991; clusters: Smits, Arvo & Greenberg 1994).
 //!
-//! - [`tree`]: clusters ([`clusters`]), patches, elements; [`functions`]: what radiosity is on a node, linear in position and normal
+//! - [`tree`]: clusters ([`clusters`]), patches, elements; [`node`]: one of them; [`functions`]: what radiosity is on it, linear in
+//!   position and normal
 //! - [`oracle`]: what two nodes exchange, how much of it is hidden, how far a link would be wrong
 //! - [`refine`]: from the root down to links that a goal allows
 //! - [`link`]: one of them; [`links`]: all as an operator; [`push_pull`]: up and down the tree
@@ -19,6 +20,7 @@ pub mod light;
 pub mod link;
 pub mod links;
 pub mod mesh;
+pub mod node;
 pub mod operator;
 pub mod oracle;
 pub mod push_pull;

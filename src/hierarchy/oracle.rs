@@ -10,7 +10,8 @@
 //! A shaft that no convex body reaches into proves v = 1; else segments are cast.
 
 use super::functions::{MOST, Place};
-use super::tree::{Node, Tree};
+use super::node::Node;
+use super::tree::Tree;
 use crate::assembly::Blockers;
 use crate::form_factor::area_quadrature::kernel;
 use crate::form_factor::{Accuracy, Batch, Shape};
