@@ -26,7 +26,8 @@ use crate::visibility::shaft::Shaft;
 pub const FIRST_SEGMENTS: u32 = 16;
 /// Nodes nearer to each other than this, radii over distance, are looked at twice: their exchange is taken exactly where it can.
 const NEAR: f64 = 0.25;
-/// Of the second order terms that samples may not show, relative to (radius / distance)^2.
+/// What samples may not show: of terms of second order, relative to (radius / distance)^2; and of the most that may pass next to each
+/// other.
 const UNSHOWN: f64 = 0.1;
 
 /// How much of what two nodes exchange passes between them.

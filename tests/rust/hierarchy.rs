@@ -155,6 +155,7 @@ fn a_row_is_right_that_sees_what_no_other_of_its_cluster_sees() {
         for &i in &corner {
             links.row(i, &mut row);
             let sum: f64 = row.iter().sum();
+            // 1 in a closed scene: what is missed is missing from it.
             assert!((sum - 1.0).abs() <= tolerance, "row {i} sums to {sum} at {tolerance}");
         }
     }
